@@ -1,0 +1,62 @@
+# Needs only Python 3.11 or newer and make. Everything else goes into .venv.
+# Another Python: make test PYTHON=/path/to/python3.12
+
+PYTHON ?= python3.11
+TASK ?= wall
+ARM ?= neatq
+TICKS ?= 70000
+ARENAS ?= 1
+SEED ?= 0
+OUT ?= runs/$(TASK)-$(ARM)-$(shell date +%Y%m%d-%H%M%S)
+
+# Test processes; 0 runs the tests in one process, which is easier to debug.
+WORKERS ?= 2
+
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
+WHEEL_DIR := build/wheel
+
+# One thread for each test process: many small tensors, and the same sums in the same order.
+export OMP_NUM_THREADS := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help train test format clean
+
+help: ## show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' Makefile
+
+train: $(VENV)/train.stamp ## train a population (TASK, ARM, TICKS, ARENAS, SEED, OUT), results in runs/
+	$(BIN)/neatq train --task $(TASK) --arm $(ARM) --ticks $(TICKS) --arenas $(ARENAS) \
+	    --seed $(SEED) --out $(OUT)
+
+test: $(VENV)/test.stamp ## check everything: style, types, layers, wheel, tests, notebooks
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/lint-imports
+	rm -rf $(WHEEL_DIR)
+	$(BIN)/python -m build --wheel --no-isolation --outdir $(WHEEL_DIR)
+	$(BIN)/check-wheel-contents $(WHEEL_DIR)
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+format: $(VENV)/test.stamp ## mend style and order of imports
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean: ## remove .venv, build outputs and caches; runs/ stays
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The stamps make the installation happen once, and again when a dependency changes.
+$(VENV)/train.stamp: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	    { echo "Python 3.11 or newer is needed; got: $(PYTHON). Try: make PYTHON=python3.12 ..."; exit 1; }
+	@echo "Installing into $(VENV). This happens once and takes a minute or two."
+	$(PYTHON) -m venv $(VENV)
+	$(INSTALL) .
+	@touch $@
+
+$(VENV)/test.stamp: $(VENV)/train.stamp
+	$(INSTALL) '.[dev]'
+	@touch $@

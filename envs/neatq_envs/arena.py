@@ -1,0 +1,236 @@
+"""The world of robots, walls and a flag: plain numpy in, plain numpy out."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from neatq_envs.flags import Flags
+from neatq_envs.physics import Physics
+from neatq_envs.rewards import Rewards, flag_distance_squared
+from neatq_envs.scenario import REWARD_DIMENSIONS, Scenario, ScenarioError
+from neatq_envs.sensors import IGNORE_ABOVE, Senses
+
+# Streams of random numbers of one arena: [seed, stream]. Flags have their own, so that their
+# places do not depend on how often robots respawn.
+_SPAWN_STREAM, _FLAG_STREAM = 0, 1
+_ARRAYS = ("heading_rad", "age_ticks", "observation", "reward", "reward_vector", "distance")
+
+
+class Arena:
+    """Several arenas of one scenario, stepped together; none influences another.
+
+    One tick: headings turn, robots move along their *new* headings as far as walls let them,
+    rewards are given, ages grow, the flag may move, robots sense. Arena i of a run over many
+    seeds is, bit for bit, the arena of a run over seed i alone.
+
+    All arrays are replaced as a whole and never written in place: what was handed out stays.
+
+    Attributes:
+        position: float64 [arenas, robots, 2], units; y points up.
+        heading_rad: float64 [arenas, robots], in (-pi, pi], counterclockwise from the x axis.
+        age_ticks: int64 [arenas, robots], ticks since the robot's life began.
+        truncated: bool [arenas, robots], whether a life has lasted `lifetime_ticks`.
+        flag: float64 [arenas, 2], units.
+        distance: float64 [arenas, robots] to the flag, units.
+        observation: float32 [arenas, robots, observations] in [0, 1]. After `respawn`, robots
+            that were not respawned keep what they sensed at the end of the last tick.
+        reward: float64 [arenas, robots], of the last tick, for learning, in [0, 1].
+        reward_vector: float64 [arenas, robots, dimensions], of the last tick, for evolution.
+        tick: ticks since the world was made.
+    """
+
+    def __init__(self, scenario: Scenario, seeds: Sequence[int]) -> None:
+        if not seeds:
+            raise ValueError("seeds: expected one for each arena, got none")
+        self.scenario = scenario
+        self.seeds = tuple(int(seed) for seed in seeds)
+        self._senses, self._rewards = Senses(scenario), Rewards(scenario)
+        self.schema = self._senses.schema
+        self._low, self._high = self.schema.action_bounds(scenario)
+        self._physics = Physics(scenario, len(seeds))
+        self._spawn_generators = [np.random.default_rng([s, _SPAWN_STREAM]) for s in self.seeds]
+        self._flag_generators = [np.random.default_rng([s, _FLAG_STREAM]) for s in self.seeds]
+        self._flags = Flags(scenario, self._flag_generators)
+        self._spawn_centres = np.array([(spawn.x, spawn.y) for spawn in scenario.spawns])
+        self._jitters = np.array([spawn.jitter for spawn in scenario.spawns])
+        self.tick = 0
+        self.reset()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Arenas, robots in each."""
+        return len(self.seeds), self.scenario.robots
+
+    @property
+    def position(self) -> np.ndarray:
+        """Positions, float64 [arenas, robots, 2]."""
+        return self._physics.position
+
+    @property
+    def flag(self) -> np.ndarray:
+        """Places of the flags, float64 [arenas, 2]."""
+        return self._flags.place
+
+    @property
+    def truncated(self) -> np.ndarray:
+        """Lives that are over, bool [arenas, robots]."""
+        lifetime = self.scenario.lifetime_ticks
+        return (self.age_ticks >= lifetime) & bool(lifetime)
+
+    def reset(self) -> None:
+        """Make new worlds; random numbers go on where the old worlds left them."""
+        self.tick = 0
+        self._flags.update(0)
+        everyone = np.ones(self.shape, dtype=bool)
+        place, self.heading_rad = self._draw_spawns(everyone)
+        self._physics.rebuild(place, np.zeros_like(place))
+        self.age_ticks = np.zeros(self.shape, dtype=np.int64)
+        self.reward = np.zeros(self.shape)
+        self.reward_vector = np.zeros((*self.shape, len(REWARD_DIMENSIONS)))
+        self.distance = np.sqrt(flag_distance_squared(self.position, self.flag))
+        self.observation = self._sense()
+
+    def respawn(self, mask: np.ndarray) -> None:
+        """Begin new lives for the robots of `mask`, bool [arenas, robots]; the world goes on."""
+        if mask.shape != self.shape or mask.dtype != bool:
+            raise ValueError(
+                f"mask: expected bool [arenas, robots] = {list(self.shape)}, "
+                f"got {mask.dtype} {list(mask.shape)}"
+            )
+        if not mask.any():
+            return
+        place, heading_rad = self._draw_spawns(mask)
+        self._physics.teleport(mask, place)
+        self.heading_rad = np.where(mask, heading_rad, self.heading_rad)
+        self.age_ticks = np.where(mask, 0, self.age_ticks)
+        self.reward = np.where(mask, 0.0, self.reward)
+        self.reward_vector = np.where(mask[..., None], 0.0, self.reward_vector)
+        self.distance = np.sqrt(flag_distance_squared(self.position, self.flag))
+        fresh = self._sense()
+        self.observation = np.where(mask[..., None], fresh, self.observation)
+
+    def step(self, actions: np.ndarray) -> None:
+        """Let one tick pass.
+
+        Args:
+            actions: [arenas, robots, actions] in physical units (`schema.action_bounds`);
+                clipped to the bounds.
+
+        Raises:
+            ValueError: of a wrong shape, or naming the robot whose action is not finite.
+        """
+        actions = self._checked(actions)
+        speed = actions[..., 0]
+        self.heading_rad = wrap_rad(self.heading_rad + actions[..., 1])
+        before = self.distance
+        velocity = np.empty((*self.shape, 2))
+        np.multiply(speed, np.cos(self.heading_rad), out=velocity[..., 0])
+        np.multiply(speed, np.sin(self.heading_rad), out=velocity[..., 1])
+        self._physics.move(velocity)
+        position = self.position
+        self.distance = np.sqrt(flag_distance_squared(position, self.flag))
+        self.reward_vector = self._rewards.vector(speed, position, self.flag)
+        self.reward = self._rewards.learning(self.reward_vector, before, self.distance)
+        self.age_ticks = self.age_ticks + 1
+        self.tick += 1
+        if self._flags.update(self.tick):
+            self.distance = np.sqrt(flag_distance_squared(position, self.flag))
+        ignore = actions[..., 3] > IGNORE_ABOVE if actions.shape[-1] > 3 else None
+        self.observation = self._sense(ignore)
+
+    def rebuild(self) -> None:
+        """Build the physics anew from the arrays.
+
+        Physics holds contacts that no array shows, so a run continues bit for bit from
+        `world_state` only if it rebuilds at that tick, as the restored run does.
+        """
+        self._physics.rebuild(self._physics.place, self._physics.velocity)
+
+    def world_state(self) -> dict[str, Any]:
+        """Return all that the worlds are: a nested dict of numpy arrays and JSON values."""
+        return {
+            "scenario": self.scenario.to_dict(),
+            "seeds": list(self.seeds),
+            "tick": self.tick,
+            "place": self._physics.place.copy(),
+            "velocity": self._physics.velocity.copy(),
+            "flag": self.flag.copy(),
+            "spawn_generators": _states(self._spawn_generators),
+            "flag_generators": _states(self._flag_generators),
+            **{name: getattr(self, name).copy() for name in _ARRAYS},
+        }
+
+    def load_world_state(self, state: Mapping[str, Any]) -> None:
+        """Continue from a `world_state` of an equal scenario and as many arenas.
+
+        Raises:
+            ScenarioError: the state is of another scenario or of another number of arenas.
+        """
+        if state["scenario"] != self.scenario.to_dict():
+            raise ScenarioError(
+                f"the state is of scenario {state['scenario']}, this arena of "
+                f"{self.scenario.to_dict()}; make the arena from the state's scenario"
+            )
+        if len(state["seeds"]) != len(self.seeds):
+            raise ScenarioError(
+                f"the state has {len(state['seeds'])} arenas, this has {len(self.seeds)}"
+            )
+        self.seeds, self.tick = tuple(state["seeds"]), state["tick"]
+        for name in _ARRAYS:
+            setattr(self, name, np.array(state[name], dtype=getattr(self, name).dtype))
+        self._flags.place = np.array(state["flag"])
+        _restore(self._spawn_generators, state["spawn_generators"])
+        _restore(self._flag_generators, state["flag_generators"])
+        self._physics.rebuild(np.array(state["place"]), np.array(state["velocity"]))
+
+    def _sense(self, ignore: np.ndarray | None = None) -> np.ndarray:
+        return self._senses.sense(self.position, self.heading_rad, self.flag, ignore)
+
+    def _checked(self, actions: np.ndarray) -> np.ndarray:
+        wanted = (*self.shape, len(self._low))
+        if actions.shape != wanted:
+            raise ValueError(
+                f"actions: expected [arenas, robots, actions] = {list(wanted)}, "
+                f"got {list(actions.shape)}"
+            )
+        # The bounds are single precision, as the actions of networks are.
+        clipped = np.minimum(np.maximum(actions, self._low), self._high).astype(np.float64)
+        if not math.isfinite(clipped.sum()) or np.isinf(actions).any():
+            arena, robot, action = np.argwhere(~np.isfinite(actions))[0].tolist()
+            raise ValueError(
+                f"action {self.schema.actions[action]} of robot {robot} in arena {arena} is "
+                f"{actions[arena, robot, action]}; expected a finite number"
+            )
+        return clipped
+
+    def _draw_spawns(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return places [arenas, robots, 2] and headings [arenas, robots], drawn where masked."""
+        place, heading = np.zeros((*self.shape, 2)), np.zeros(self.shape)
+        for arena, rng in enumerate(self._spawn_generators):
+            robots = np.flatnonzero(mask[arena])
+            spawn = robots % len(self._jitters)
+            jitter = self._jitters[spawn, None]
+            offset = rng.integers(-jitter, np.maximum(jitter, 1), size=(len(robots), 2))
+            place[arena, robots] = self._spawn_centres[spawn] + offset
+            heading[arena, robots] = np.radians(rng.integers(0, 360, size=len(robots)))
+        return place, wrap_rad(heading)
+
+
+def wrap_rad(angle: np.ndarray) -> np.ndarray:
+    """Return angles wrapped to (-pi, pi]; those less than one turn away lose no precision."""
+    angle = np.where(angle > np.pi, angle - 2 * np.pi, angle)
+    return np.where(angle <= -np.pi, angle + 2 * np.pi, angle)
+
+
+def _states(generators: Sequence[np.random.Generator]) -> list[dict[str, Any]]:
+    return [copy.deepcopy(dict(rng.bit_generator.state)) for rng in generators]
+
+
+def _restore(generators: Sequence[np.random.Generator], states: Sequence[Any]) -> None:
+    for rng, state in zip(generators, states, strict=True):
+        rng.bit_generator.state = state

@@ -1,0 +1,163 @@
+"""Species: who competes with whom."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neatq_torch.genome import DistanceConfig, Genome, distances
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpeciesConfig:
+    """How genomes are sorted into species; the defaults are those of OpenNERO.
+
+    Attributes:
+        threshold: a genome joins a species whose representative is closer than this.
+        target: number of species the threshold moves towards.
+        step: how far the threshold moves at a time; 0 keeps it fixed.
+        floor: smallest threshold.
+        adjust_every: offspring between two moves of the threshold.
+    """
+
+    threshold: float = 4.0
+    target: int = 4
+    step: float = 0.1
+    floor: float = 0.3
+    adjust_every: int = 5
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        if not 0.0 < self.floor <= self.threshold:
+            raise ValueError(
+                f"expected 0 < floor <= threshold, got floor {self.floor} and threshold "
+                f"{self.threshold}."
+            )
+        if self.target < 1 or self.adjust_every < 1:
+            raise ValueError(
+                f"target and adjust_every must be at least 1, not {self.target} and "
+                f"{self.adjust_every}."
+            )
+        if self.step < 0.0:
+            raise ValueError(f"step must be >= 0, not {self.step}.")
+
+
+@dataclass
+class Species:
+    """Slots of compatible genomes; the genome in the first of them represents the species."""
+
+    species_id: int
+    members: list[int] = field(default_factory=list)
+
+    def representative(self, genomes: Sequence[Genome]) -> Genome:
+        """Return the genome that newcomers are compared with."""
+        return genomes[self.members[0]]
+
+    def rank(self, fitness: NDArray[np.float64]) -> None:
+        """Sort members by fitness [slots], the fittest first, which then represents them."""
+        self.members.sort(key=lambda slot: -fitness[slot])
+
+
+class Speciation:
+    """All species of one population, in the order they were founded."""
+
+    def __init__(self, config: SpeciesConfig, distance: DistanceConfig) -> None:
+        """Start without species; `add` founds them."""
+        self.config = config
+        self.distance = distance
+        self.species: list[Species] = []
+        self.threshold = config.threshold
+        self._founded = 0
+        self._offspring = 0
+
+    def of(self, slot: int) -> Species:
+        """Return the species that the slot belongs to; KeyError if it belongs to none."""
+        for species in self.species:
+            if slot in species.members:
+                return species
+        raise KeyError(f"slot {slot} belongs to no species.")
+
+    def sizes(self, slots: int) -> NDArray[np.int64]:
+        """Return for each of [slots] how many members its species has."""
+        sizes = np.ones(slots, dtype=np.int64)
+        for species in self.species:
+            sizes[species.members] = len(species.members)
+        return sizes
+
+    def add(self, slot: int, genomes: Sequence[Genome]) -> Species:
+        """Put a slot into the first compatible species, or found one for it."""
+        representatives = [species.representative(genomes) for species in self.species]
+        apart = distances(genomes[slot], representatives, self.distance)
+        close = np.flatnonzero(apart < self.threshold)
+        return self._join(slot, self.species[close[0]] if close.size else None)
+
+    def remove(self, slot: int) -> None:
+        """Take a slot out of its species; a species without members vanishes."""
+        species = self.of(slot)
+        species.members.remove(slot)
+        if not species.members:
+            self.species.remove(species)
+
+    def count_offspring(self, genomes: Sequence[Genome], order: Sequence[int]) -> None:
+        """Note one offspring; every `adjust_every` of them move the threshold and reassign.
+
+        Args:
+            genomes: [slots] all genomes, the offspring included.
+            order: [slots] slots in the order in which they are reassigned.
+        """
+        self._offspring += 1
+        if self._offspring % self.config.adjust_every:
+            return
+        surplus = int(np.sign(len(self.species) - self.config.target))
+        moved = self.threshold + surplus * self.config.step
+        self.threshold = max(moved, self.config.floor)
+        self._reassign(genomes, order)
+
+    def _reassign(self, genomes: Sequence[Genome], order: Sequence[int]) -> None:
+        """Move every slot to the first species it is compatible with, one after the other."""
+        apart: dict[int, NDArray[np.float64]] = {}
+        for slot in order:
+            home = None
+            for species in self.species:
+                first = species.members[0]
+                if first not in apart:
+                    apart[first] = distances(genomes[first], genomes, self.distance)
+                if apart[first][slot] < self.threshold:
+                    home = species
+                    break
+            if home is None or slot not in home.members:
+                self.remove(slot)
+                self._join(slot, home)
+
+    def _join(self, slot: int, home: Species | None) -> Species:
+        if home is None:
+            self._founded += 1
+            home = Species(self._founded)
+            self.species.append(home)
+        home.members.append(slot)
+        return home
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return species, threshold and counters as JSON values."""
+        return {
+            "species": [[one.species_id, list(one.members)] for one in self.species],
+            "threshold": self.threshold,
+            "founded": self._founded,
+            "offspring": self._offspring,
+        }
+
+    @classmethod
+    def from_state(
+        cls, config: SpeciesConfig, distance: DistanceConfig, state: Mapping[str, Any]
+    ) -> Self:
+        """Return what `state_dict` described."""
+        speciation = cls(config, distance)
+        speciation.species = [Species(key, list(members)) for key, members in state["species"]]
+        speciation.threshold = state["threshold"]
+        speciation._founded = state["founded"]
+        speciation._offspring = state["offspring"]
+        return speciation

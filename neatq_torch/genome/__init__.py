@@ -1,0 +1,54 @@
+"""What a genome is and how it varies; numpy only."""
+
+from neatq_torch.genome.crossover import (
+    CrossoverConfig,
+    first_is_fitter,
+    multipoint,
+    multipoint_average,
+)
+from neatq_torch.genome.distance import DistanceConfig, compatibility, distances
+from neatq_torch.genome.genome import (
+    ACTIVATIONS,
+    Genome,
+    GenomeError,
+    NodeKind,
+    identical,
+    load_genome,
+    save_genome,
+)
+from neatq_torch.genome.graph import node_levels, reaches
+from neatq_torch.genome.initial import initial_genome
+from neatq_torch.genome.innovation import InnovationLedger, LinkInnovation, Split
+from neatq_torch.genome.mutation import mutate, mutate_weights
+from neatq_torch.genome.mutation_config import MutationConfig
+from neatq_torch.genome.structural import add_link, add_node, reenable, toggle_enable
+
+__all__ = [
+    "ACTIVATIONS",
+    "CrossoverConfig",
+    "DistanceConfig",
+    "Genome",
+    "GenomeError",
+    "InnovationLedger",
+    "LinkInnovation",
+    "MutationConfig",
+    "NodeKind",
+    "Split",
+    "add_link",
+    "add_node",
+    "compatibility",
+    "distances",
+    "first_is_fitter",
+    "identical",
+    "initial_genome",
+    "load_genome",
+    "multipoint",
+    "multipoint_average",
+    "mutate",
+    "mutate_weights",
+    "node_levels",
+    "reaches",
+    "reenable",
+    "save_genome",
+    "toggle_enable",
+]

@@ -1,0 +1,136 @@
+"""Who numbered which structure: the historical markings of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import astuple, dataclass
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neatq_torch.genome.genome import Genome
+
+
+def match(
+    own: NDArray[np.int64], others: NDArray[np.int64]
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Return for each of `others` its place in the sorted `own`, and whether it is there.
+
+    Places of innovations that are not there lie within `own` but mean nothing.
+    """
+    if not own.size:
+        return np.zeros(others.size, dtype=np.intp), np.zeros(others.size, dtype=bool)
+    first, span = int(own[0]), int(own[-1]) - int(own[0]) + 1
+    if span <= 4 * (own.size + others.size):
+        # Innovations lie close together, so a table is several times faster than a search.
+        table = np.zeros(span, dtype=np.intp)
+        table[own - first] = np.arange(own.size)
+        place = table.take(others - first, mode="clip")
+    else:
+        place = np.minimum(np.searchsorted(own, others), own.size - 1)
+    return place, own[place] == others
+
+
+class LinkInnovation(NamedTuple):
+    """Number of a link and the weight it had when it first appeared."""
+
+    innovation: int
+    weight: float
+
+
+@dataclass(frozen=True)
+class Split:
+    """The node that splits a link, and the numbers of the two links around it."""
+
+    node_id: int
+    in_innovation: int
+    out_innovation: int
+
+
+class InnovationLedger:
+    """Gives equal structural mutations equal numbers for the whole run.
+
+    The list is never cleared, and a link that appears again gets the weight of its first
+    occurrence, as in OpenNERO's rtNEAT. It is part of a run's state.
+    """
+
+    def __init__(self, next_innovation: int = 1, next_node_id: int = 1) -> None:
+        """Start an empty ledger whose first new link and node get these numbers."""
+        self.next_innovation = next_innovation
+        self.next_node_id = next_node_id
+        self._links: dict[tuple[int, int, bool], LinkInnovation] = {}
+        self._splits: dict[int, list[Split]] = {}
+
+    @classmethod
+    def for_genomes(cls, genomes: Iterable[Genome]) -> Self:
+        """Return a ledger that knows the links of these genomes and numbers beyond them."""
+        ledger = cls()
+        for genome in genomes:
+            ledger._learn(genome)
+        return ledger
+
+    def link(self, source: int, target: int, recurrent: bool, weight: float) -> LinkInnovation:
+        """Return number and weight for a new link; `weight` counts only if it is the first."""
+        key = (int(source), int(target), bool(recurrent))
+        known = self._links.get(key)
+        if known is None:
+            known = LinkInnovation(self._take_innovation(), float(weight))
+            self._links[key] = known
+        return known
+
+    def split(self, link_innovation: int, taken_node_ids: Collection[int]) -> Split:
+        """Return the split of a link: the same for everyone, unless its node is taken.
+
+        A link that was enabled again can be split twice in one genome; the second split is
+        then shared with all genomes to which the same happens.
+        """
+        splits = self._splits.setdefault(int(link_innovation), [])
+        for split in splits:
+            if split.node_id not in taken_node_ids:
+                return split
+        split = Split(self.next_node_id, self._take_innovation(), self._take_innovation())
+        self.next_node_id += 1
+        splits.append(split)
+        return split
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the ledger as JSON values."""
+        return {
+            "next_innovation": self.next_innovation,
+            "next_node_id": self.next_node_id,
+            "links": [[*key, *known] for key, known in self._links.items()],
+            "splits": [
+                [link, *astuple(split)] for link, splits in self._splits.items() for split in splits
+            ],
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> Self:
+        """Return the ledger that `state_dict` described."""
+        ledger = cls(state["next_innovation"], state["next_node_id"])
+        for source, target, recurrent, innovation, weight in state["links"]:
+            ledger._links[source, target, recurrent] = LinkInnovation(innovation, weight)
+        for link, *split in state["splits"]:
+            ledger._splits.setdefault(link, []).append(Split(*split))
+        return ledger
+
+    def _take_innovation(self) -> int:
+        self.next_innovation += 1
+        return self.next_innovation - 1
+
+    def _learn(self, genome: Genome) -> None:
+        columns = (
+            genome.link_source,
+            genome.link_target,
+            genome.link_recurrent,
+            genome.link_innovation,
+            genome.link_weight,
+        )
+        for *key, innovation, weight in zip(*(c.tolist() for c in columns), strict=True):
+            source, target, recurrent = key
+            self._links.setdefault((source, target, recurrent), LinkInnovation(innovation, weight))
+        self.next_node_id = max(self.next_node_id, int(genome.node_id.max()) + 1)
+        if genome.link_innovation.size:
+            last = int(genome.link_innovation[-1])
+            self.next_innovation = max(self.next_innovation, last + 1)

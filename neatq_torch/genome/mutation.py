@@ -1,0 +1,67 @@
+"""Mutation: one step away from the parent."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neatq_torch.genome.genome import Genome
+from neatq_torch.genome.innovation import InnovationLedger
+from neatq_torch.genome.mutation_config import MutationConfig
+from neatq_torch.genome.structural import add_link, add_node, reenable, toggle_enable
+
+
+def mutate(
+    genome: Genome, config: MutationConfig, ledger: InnovationLedger, rng: np.random.Generator
+) -> Genome:
+    """Return the genome after one mutation; a structural one is the only one it gets."""
+    if rng.random() < config.add_node_prob:
+        return add_node(genome, config, ledger, rng)
+    if rng.random() < config.add_link_prob:
+        return add_link(genome, config, ledger, rng)
+    if rng.random() < config.link_weights_prob:
+        genome = mutate_weights(genome, config, rng)
+    if rng.random() < config.toggle_enable_prob:
+        genome = toggle_enable(genome, rng)
+    if rng.random() < config.reenable_prob:
+        genome = reenable(genome)
+    return genome
+
+
+def mutate_weights(genome: Genome, config: MutationConfig, rng: np.random.Generator) -> Genome:
+    """Return the genome with mutated weights; disabled links mutate too."""
+    return genome.with_weights(mutated_weights(genome.link_weight, config, rng))
+
+
+def mutated_weights(
+    weights: NDArray[np.float32], config: MutationConfig, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Return weights [links] after one mutation of weights.
+
+    Scheme "opennero" (`Genome::mutate_link_weights` there): half of the mutations are severe,
+    with 70 % of the weights moved, 20 % new, 10 % kept; in the others the last fifth of a
+    genome of 10 genes or more has 50 % moved, 20 % new, 30 % kept, and all older genes move.
+    """
+    links = weights.size
+    shift = rng.uniform(-config.weight_mutation_power, config.weight_mutation_power, links)
+    choice = rng.random(links)
+    if config.weight_scheme == "neat2002":
+        kept, replaced = 0.0, config.weight_replace_prob
+    else:
+        kept, replaced = _opennero_shares(links, severe=rng.random() < 0.5)
+    # choice: [0, kept) keeps, [kept, kept + replaced) replaces, the rest moves.
+    new = np.where(choice < kept, weights, shift)
+    new = np.where(choice < kept + replaced, new, weights + shift)
+    if config.max_link_weight is not None:
+        new = np.clip(new, -config.max_link_weight, config.max_link_weight)
+    return new.astype(np.float32)
+
+
+def _opennero_shares(
+    links: int, *, severe: bool
+) -> tuple[float | NDArray[np.float64], float | NDArray[np.float64]]:
+    """Shares of kept and of replaced weights for each gene."""
+    if severe:
+        return 0.1, 0.2
+    young = (np.arange(links) > 0.8 * links) & (links >= 10)
+    return np.where(young, 0.3, 0.0), np.where(young, 0.2, 0.0)

@@ -1,0 +1,25 @@
+"""Acting and temporal-difference learning, as TorchRL parts."""
+
+from neatq_torch.learning.candidates import CandidateHeads, CandidatePolicy, CandidateValue
+from neatq_torch.learning.exploration import EpsilonGreedy
+from neatq_torch.learning.inheritance import Inheritance, write_back
+from neatq_torch.learning.learner import Learner, LearnerConfig, NoLearning, TDLearner
+from neatq_torch.learning.objectives import CandidateTDLoss
+from neatq_torch.learning.table import QTable, TableLearner, TablePolicy
+
+__all__ = [
+    "CandidateHeads",
+    "CandidatePolicy",
+    "CandidateTDLoss",
+    "CandidateValue",
+    "EpsilonGreedy",
+    "Inheritance",
+    "Learner",
+    "LearnerConfig",
+    "NoLearning",
+    "QTable",
+    "TDLearner",
+    "TableLearner",
+    "TablePolicy",
+    "write_back",
+]

@@ -1,0 +1,211 @@
+"""Networks that put out candidate actions, and the policy that takes one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase, dispatch
+from torch import Tensor, nn
+
+from neatq_torch.learning.exploration import EpsilonGreedy
+from neatq_torch.network import PopulationNetwork
+
+
+class CandidateHeads(nn.Module):
+    """Reads network outputs as K candidate actions and a Q-value for each.
+
+    Candidate c is outputs [A c, A (c + 1)) and its value is output A K + c, the layout of
+    Robertson & Wu (2014). Actions are read on [0, 1], the range of a sigmoid (values outside are
+    clipped), and scaled to [low, high]. A single candidate leaves nothing to choose: it has no
+    value output, and its value is zero.
+
+    Args:
+        candidates: K, at least 1.
+        low: Smallest action [A].
+        high: Largest action [A].
+
+    Raises:
+        ValueError: If K is less than 1 or the bounds do not fit each other.
+    """
+
+    low: Tensor
+    span: Tensor
+
+    def __init__(self, candidates: int, low: Sequence[float], high: Sequence[float]) -> None:
+        super().__init__()
+        if candidates < 1:
+            raise ValueError(f"expected at least 1 candidate, got {candidates}")
+        if len(low) != len(high) or any(a > b for a, b in zip(low, high, strict=True)):
+            raise ValueError(f"expected low <= high for every action, got {low} and {high}")
+        self.candidates = candidates
+        self.actions = len(low)
+        smallest = torch.tensor(low, dtype=torch.get_default_dtype())
+        self.register_buffer("low", smallest, persistent=False)
+        self.register_buffer("span", smallest.new_tensor(high) - smallest, persistent=False)
+
+    @property
+    def outputs(self) -> int:
+        """Network outputs that these heads read."""
+        return self.candidates * (self.actions + (self.candidates > 1))
+
+    def forward(self, output: Tensor) -> tuple[Tensor, Tensor]:
+        """Split outputs [..., outputs] into candidates [..., K, A] and values [..., K]."""
+        count = self.candidates * self.actions
+        unit = output[..., :count].clamp(0, 1).unflatten(-1, (self.candidates, self.actions))
+        values = output[..., count:] if self.candidates > 1 else torch.zeros_like(output[..., :1])
+        return self.low + unit * self.span, values
+
+
+class CandidateValue(TensorDictModuleBase):
+    """The Q-values of all candidates of every robot, as a `CandidateTDLoss` needs them.
+
+    Reads `observation` [*shape, *batch, inputs], and `network_state` where the networks are
+    recurrent. Writes `candidates` [..., K, A], `action_value` [..., K] and
+    `chosen_action_value` [..., 1], the largest of them.
+    """
+
+    def __init__(self, network: PopulationNetwork, heads: CandidateHeads) -> None:
+        super().__init__()
+        self.in_keys = ["observation"]
+        self.out_keys = ["candidates", "action_value", "chosen_action_value"]
+        check_heads(network, heads)
+        self.network = network
+        self.heads = heads
+
+    @dispatch  # pyright: ignore[reportArgumentType]
+    def forward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, tensordict: TensorDictBase
+    ) -> TensorDictBase:
+        """Add the candidates and their values to `tensordict`."""
+        observation = tensordict.get("observation")
+        if self.network.state_size:
+            output = self.network.step(observation, tensordict.get("network_state"))[0]
+        else:
+            output = self.network(observation)
+        candidates, values = self.heads(output)
+        tensordict.set("candidates", candidates)
+        tensordict.set("action_value", values)
+        return tensordict.set("chosen_action_value", values.amax(-1, keepdim=True))
+
+
+class CandidatePolicy(TensorDictModuleBase):
+    """Acts for every robot: its network proposes candidates, `exploration` takes one of them.
+
+    Reads `observation`; writes `candidates` [*shape, K, A], `action_value` [*shape, K],
+    `candidate_index` [*shape], `action` [*shape, A], `chosen_action_value` [*shape, 1] and
+    `genome_id` [*shape, 1], by which learning knows whose transition it is. Where networks are
+    recurrent it also writes the state that this tick read, `network_state`, and the one that the
+    next tick reads, `("next", "network_state")`.
+
+    The state stays with the robot from life to life, as in OpenNERO; a newborn starts afresh
+    through `reset`.
+
+    Args:
+        network: The networks of all robots.
+        heads: How outputs are read.
+        exploration: How a candidate is taken.
+        double_activation: Activate each network a second time, with the observation before, as
+            the published rtNEAT+Q did. Outputs are not affected at once, but recurrent state is.
+    """
+
+    memory: Tensor
+    previous: Tensor
+
+    def __init__(
+        self,
+        network: PopulationNetwork,
+        heads: CandidateHeads,
+        exploration: EpsilonGreedy,
+        *,
+        double_activation: bool = False,
+    ) -> None:
+        super().__init__()
+        self.in_keys = ["observation"]
+        self.out_keys = [
+            "candidates",
+            "action_value",
+            "candidate_index",
+            "action",
+            "chosen_action_value",
+            "genome_id",
+        ]
+        check_heads(network, heads)
+        self.network = network
+        self.heads = heads
+        self.exploration = exploration
+        self.double_activation = double_activation
+        self.register_buffer("memory", network.initial_state(), persistent=False)
+        previous = self.memory.new_zeros(*network.shape, network.inputs)
+        self.register_buffer("previous", previous, persistent=False)
+
+    @dispatch  # pyright: ignore[reportArgumentType]
+    def forward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, tensordict: TensorDictBase
+    ) -> TensorDictBase:
+        """Add every robot's action, and what led to it, to `tensordict`."""
+        observation = tensordict.get("observation")
+        output, memory = self.network.step(observation, self.memory)
+        candidates, values = self.heads(output)
+        index = self.exploration(values)
+        taken = index.unsqueeze(-1)
+        action = torch.take_along_dim(candidates, taken.unsqueeze(-1), -2).squeeze(-2)
+        tensordict.set("candidates", candidates)
+        tensordict.set("action_value", values)
+        tensordict.set("candidate_index", index)
+        tensordict.set("action", action)
+        tensordict.set("chosen_action_value", values.gather(-1, taken))
+        tensordict.set("genome_id", self.network.genome_id.unsqueeze(-1))
+        if self.network.state_size:
+            if self.double_activation:
+                memory = self.network.step(self.previous, memory)[1]
+                self.previous = observation
+            tensordict.set("network_state", self.memory)
+            tensordict.set(("next", "network_state"), memory)
+            self.memory = memory
+        return tensordict
+
+    def reset(self, newborn: Tensor) -> None:
+        """Let newborns start afresh: no state and no exploration of the genome before.
+
+        Args:
+            newborn: Mask [*shape].
+        """
+        missing = self.network.state_size - self.memory.shape[-1]
+        memory = nn.functional.pad(self.memory, (0, missing)) if missing else self.memory
+        self.memory = memory.masked_fill(newborn.unsqueeze(-1), 0.0)
+        self.previous = self.previous.masked_fill(newborn.unsqueeze(-1), 0.0)
+        self.exploration.reset(newborn)
+
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint must keep: recurrent state and exploration."""
+        exploration = self.exploration
+        return {
+            "memory": self.memory,
+            "previous": self.previous,
+            "held": exploration.held,
+            "remaining_ticks": exploration.remaining_ticks,
+            "tick": exploration.tick,
+        }
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Go on from `state`."""
+        saved = torch.as_tensor(state["memory"]).to(self.memory)
+        missing = self.network.state_size - saved.shape[-1]
+        self.memory = nn.functional.pad(saved, (0, missing))
+        self.previous = torch.as_tensor(state["previous"]).to(self.previous)
+        self.exploration.held = torch.as_tensor(state["held"]).to(self.exploration.held)
+        remaining = torch.as_tensor(state["remaining_ticks"])
+        self.exploration.remaining_ticks = remaining.to(self.exploration.held)
+        self.exploration.tick = state["tick"]
+
+
+def check_heads(network: PopulationNetwork, heads: CandidateHeads) -> None:
+    """Raise ValueError unless the networks have the outputs that the heads read."""
+    if network.outputs != heads.outputs:
+        raise ValueError(
+            f"{heads.candidates} candidates of {heads.actions} actions need {heads.outputs} "
+            f"network outputs; the networks have {network.outputs}"
+        )

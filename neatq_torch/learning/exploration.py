@@ -1,0 +1,120 @@
+"""Taking a candidate: the best one, or now and then another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, exploration_type
+
+
+def _signed(number: int) -> int:
+    """A 64-bit pattern as the int64 that torch knows."""
+    number &= (1 << 64) - 1
+    return number - (1 << 64) if number >> 63 else number
+
+
+_STEP = 0x9E3779B97F4A7C15
+_FACTORS = (_signed(0xBF58476D1CE4E5B9), _signed(0x94D049BB133111EB))
+
+
+def _scramble(bits: Tensor) -> Tensor:
+    """The SplitMix64 finaliser (Steele, Lea & Flood 2014) on int64 tensors."""
+    for shift, factor in zip((30, 27), _FACTORS, strict=True):
+        bits = (bits ^ _shift_right(bits, shift)) * factor
+    return bits ^ _shift_right(bits, 31)
+
+
+def _shift_right(bits: Tensor, places: int) -> Tensor:
+    return (bits >> places) & ((1 << (64 - places)) - 1)
+
+
+class EpsilonGreedy(nn.Module):
+    """Epsilon-greedy over candidates, for every robot on its own.
+
+    With probability epsilon a robot starts to explore: it draws a candidate and takes it for n
+    ticks, P(n) = 1 / (n (n + 1)) up to `max_hold_ticks`. `max_hold_ticks=1` is plain
+    epsilon-greedy, larger values epsilon-z-greedy (Dabney, Ostrovski & Barreto 2021), whose runs
+    leave the path instead of stepping off it for one tick.
+
+    The numbers are a function of (seed of the arena, robot, tick) alone, so an arena explores in
+    the same way whatever stands beside it, on any device, and nothing waits for the host.
+
+    Under `ExplorationType.DETERMINISTIC` (and MODE and MEAN) the best candidate is taken.
+
+    Args:
+        shape: (arenas, robots).
+        seeds: One seed for each arena.
+        epsilon: Probability of starting to explore, per tick and robot.
+        max_hold_ticks: Longest run of one explored candidate.
+
+    Attributes:
+        epsilon: Per robot [*shape]; may be changed in place.
+        tick: Ticks drawn so far.
+
+    Raises:
+        ValueError: If an argument is out of range.
+    """
+
+    epsilon: Tensor
+    held: Tensor
+    _keys: Tensor
+    remaining_ticks: Tensor
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        *,
+        seeds: Sequence[int],
+        epsilon: float = 0.1,
+        max_hold_ticks: int = 1,
+    ) -> None:
+        super().__init__()
+        if not 0 <= epsilon <= 1:
+            raise ValueError(f"epsilon: expected a probability, got {epsilon}")
+        if max_hold_ticks < 1:
+            raise ValueError(f"max_hold_ticks: expected at least 1, got {max_hold_ticks}")
+        if len(shape) != 2 or len(seeds) != shape[0]:
+            raise ValueError(f"expected one seed for each arena of {shape}, got {len(seeds)}")
+        self.max_hold_ticks = max_hold_ticks
+        self.tick = 0
+        place = torch.tensor([[_signed(seed * _STEP)] for seed in seeds])
+        robots = torch.tensor([_signed(robot * _STEP) for robot in range(shape[1])])
+        keys = _scramble(_scramble(place) + robots)
+        draws = torch.tensor([_signed(draw * _FACTORS[0]) for draw in range(3)])
+        self.register_buffer("_keys", keys + draws.view(3, 1, 1), persistent=False)
+        self.register_buffer("epsilon", torch.full(tuple(shape), epsilon), persistent=False)
+        empty = torch.zeros(tuple(shape), dtype=torch.long)
+        self.register_buffer("held", empty, persistent=False)
+        self.register_buffer("remaining_ticks", empty.clone(), persistent=False)
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Take a candidate.
+
+        Args:
+            values: Q-values [*shape, K].
+
+        Returns:
+            Indices [*shape]; of equal values the first.
+        """
+        greedy = values.argmax(-1)
+        if exploration_type() not in (None, ExplorationType.RANDOM) or values.shape[-1] == 1:
+            return greedy
+        chance, choice, duration = self._uniform()
+        start = (self.remaining_ticks == 0) & (chance < self.epsilon)
+        hold = (1 / (1 - duration)).clamp_max(self.max_hold_ticks).long()
+        self.held = torch.where(start, (choice * values.shape[-1]).long(), self.held)
+        remaining = torch.where(start, hold, self.remaining_ticks)
+        self.remaining_ticks = (remaining - 1).clamp_min(0)
+        return torch.where(remaining > 0, self.held, greedy)
+
+    def reset(self, newborn: Tensor) -> None:
+        """End the runs of newborns (mask [*shape])."""
+        self.remaining_ticks = self.remaining_ticks.masked_fill(newborn, 0)
+
+    def _uniform(self) -> Tensor:
+        """Three numbers in [0, 1) for each robot [3, *shape]."""
+        self.tick += 1
+        bits = _scramble(self._keys + _signed(self.tick * _STEP))
+        return _shift_right(bits, 40) * 2.0**-24

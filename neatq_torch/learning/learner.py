@@ -1,0 +1,212 @@
+"""Learning during life: one update of every robot's own network from a batch of its ticks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+from torchrl.objectives import SoftUpdate
+
+from neatq_torch.learning.objectives import CandidateTDLoss
+from neatq_torch.network import PopulationNetwork
+
+State = dict[str, Any]
+"""What a checkpoint keeps: JSON values, tensors and numpy arrays by name."""
+
+
+class Learner(Protocol):
+    """What the training loop asks of learning."""
+
+    def update(self, batch: TensorDictBase) -> Tensor:
+        """Learn from a batch; returns the mean squared TD error of each robot [*shape]."""
+        ...
+
+    def reset(self, newborn: Tensor) -> None:
+        """The one door through which newborns (mask [*shape]) come in, with nothing learnt."""
+        ...
+
+    def state(self) -> State:
+        """Everything that a checkpoint must keep."""
+        ...
+
+    def load_state(self, state: State) -> None:
+        """Go on from `state`."""
+        ...
+
+
+class NoLearning:
+    """Evolution alone: robots act, and nothing is learnt."""
+
+    def __init__(self, network: PopulationNetwork) -> None:
+        self._error = torch.full(network.shape, torch.nan, device=network.weight.device)
+
+    def update(self, batch: TensorDictBase) -> Tensor:
+        """No update, so no error: NaN for every robot."""
+        return self._error
+
+    def reset(self, newborn: Tensor) -> None:
+        """Nothing to forget."""
+
+    def state(self) -> State:
+        """Nothing to keep."""
+        return {}
+
+    def load_state(self, state: State) -> None:
+        """Nothing to restore."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnerConfig:
+    """How networks learn.
+
+    Attributes:
+        learning_rate: Step size; applied to the gradient summed over the ticks of a batch.
+        optimizer: `sgd` or `adam` (Kingma & Ba 2015; moments per robot).
+        target_tau: Share of the weights that target parameters take over at each update; None
+            bootstraps from the networks themselves.
+    """
+
+    learning_rate: float = 0.1
+    optimizer: Literal["sgd", "adam"] = "sgd"
+    target_tau: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        if not self.learning_rate >= 0:
+            raise ValueError(f"learning_rate: expected at least 0, got {self.learning_rate}")
+        if self.optimizer not in ("sgd", "adam"):
+            raise ValueError(f"optimizer: expected 'sgd' or 'adam', got {self.optimizer!r}")
+        if self.target_tau is not None and not 0 < self.target_tau <= 1:
+            raise ValueError(f"target_tau: expected within (0, 1], got {self.target_tau}")
+
+
+class TDLearner:
+    """Trains every network of a population on its own robot's transitions.
+
+    The optimiser's state, the learning rate and the number of steps belong to a robot's place and
+    are cleared when a newborn takes it. An update that would make a weight infinite or NaN is not
+    applied to that robot.
+
+    Args:
+        network: The networks.
+        loss: A loss over that network, with reduction `sum`.
+        config: Learning rate and optimiser.
+
+    Attributes:
+        learning_rate: Per robot [networks]; may be changed in place.
+    """
+
+    _BETAS = (0.9, 0.999)
+    _EPSILON = 1e-8
+
+    def __init__(
+        self, network: PopulationNetwork, loss: CandidateTDLoss, config: LearnerConfig
+    ) -> None:
+        self.network = network
+        self.loss = loss
+        self.adam = config.optimizer == "adam"
+        weight = network.weight
+        self.learning_rate = weight.new_full((len(weight),), config.learning_rate)
+        self.steps = weight.new_zeros(len(weight))
+        self.first_moment = torch.zeros_like(weight, requires_grad=False)
+        self.second_moment = torch.zeros_like(weight, requires_grad=False)
+        self.target_update = (
+            SoftUpdate(loss, tau=config.target_tau) if config.target_tau is not None else None
+        )
+
+    def update(self, batch: TensorDictBase) -> Tensor:
+        """One step of every network.
+
+        Args:
+            batch: Transitions [*shape, ticks]. Those whose `genome_id` is not that of the network
+                standing in the robot's place now are left out.
+
+        Returns:
+            Mean squared TD error of each robot before the step [*shape].
+        """
+        own = batch.get("genome_id").squeeze(-1) == self.network.genome_id.unsqueeze(-1)
+        batch.set("own_transition", own)
+        self.loss.loss_mask_key = "own_transition"
+        self.network.weight.grad = None
+        self.loss(batch).get("loss").backward()
+        self._step()
+        if self.target_update is not None:
+            self.target_update.step()
+        error = batch.get(self.loss.tensor_keys.priority).squeeze(-1).square()
+        return torch.where(own, error, 0).sum(-1) / own.sum(-1).clamp_min(1)
+
+    @torch.no_grad()
+    def _step(self) -> None:
+        weight, gradient = self.network.weight, self.network.weight.grad
+        assert gradient is not None
+        if self.adam:
+            gradient = self._adam(gradient)
+        changed = weight - self.learning_rate.unsqueeze(1) * gradient
+        finite = torch.isfinite(changed).all(1, keepdim=True)
+        weight.copy_(torch.where(finite, changed, weight))
+
+    def _adam(self, gradient: Tensor) -> Tensor:
+        first, second = self._BETAS
+        self.steps += 1
+        self.first_moment.lerp_(gradient, 1 - first)
+        self.second_moment.lerp_(gradient.square(), 1 - second)
+        scale = (1 - second**self.steps).sqrt() / (1 - first**self.steps)
+        root = self.second_moment.sqrt() + self._EPSILON
+        return scale.unsqueeze(1) * self.first_moment / root
+
+    @torch.no_grad()
+    def reset(self, newborn: Tensor) -> None:
+        """Clear what belongs to the genomes before: moments, steps, target parameters.
+
+        Call it after the newborns' genomes stand in the network.
+        """
+        missing = self.network.weight.shape[1] - self.first_moment.shape[1]
+        if missing:
+            self.first_moment = nn.functional.pad(self.first_moment, (0, missing))
+            self.second_moment = nn.functional.pad(self.second_moment, (0, missing))
+        rows = newborn.reshape(-1, 1)
+        self.steps.masked_fill_(rows.squeeze(1), 0)
+        self.first_moment.masked_fill_(rows, 0)
+        self.second_moment.masked_fill_(rows, 0)
+        if self.target_update is not None:
+            target = self._target_weight()
+            if missing:
+                target.data = nn.functional.pad(target.data, (0, missing))
+            target.copy_(torch.where(rows, self.network.weight, target))
+
+    def _target_weight(self) -> Tensor:
+        return self.loss.target_value_network_params["network", "weight"]
+
+    def state(self) -> State:
+        """Moments, steps and target parameters."""
+        state = {
+            "steps": self.steps,
+            "first_moment": self.first_moment,
+            "second_moment": self.second_moment,
+        }
+        if self.target_update is not None:
+            state["target_weight"] = self._target_weight().detach()
+        return state
+
+    @torch.no_grad()
+    def load_state(self, state: State) -> None:
+        """Go on from `state`."""
+        self.steps.copy_(_like(state["steps"], self.steps))
+        self.first_moment.copy_(_like(state["first_moment"], self.first_moment))
+        self.second_moment.copy_(_like(state["second_moment"], self.second_moment))
+        if self.target_update is not None:
+            target = self._target_weight()
+            target.copy_(_like(state["target_weight"], target))
+
+
+def _like(saved: Tensor | np.ndarray, own: Tensor) -> Tensor:
+    """A saved tensor on the device of `own`, cut or padded to as many columns.
+
+    Columns that only one of them has belong to no link and hold zeros.
+    """
+    saved = torch.as_tensor(saved).to(own)
+    return nn.functional.pad(saved, (0, own.shape[-1] - saved.shape[-1]))

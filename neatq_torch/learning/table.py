@@ -1,0 +1,160 @@
+"""Q-learning as OpenNERO had it: a table for each robot, and no network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, exploration_type
+
+STATE_BINS = 5
+ACTION_BINS = 3
+"""Sensor values are rounded to {0, 1/4, ..., 1}; each action to its low, middle and high end."""
+
+
+class QTable:
+    """One Q-table for each robot; entries that were never visited are 0.
+
+    Args:
+        shape: (arenas, robots).
+        low: Smallest action [A].
+        high: Largest action [A].
+        learning_rate: alpha.
+        discount: gamma.
+    """
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        low: Sequence[float],
+        high: Sequence[float],
+        *,
+        learning_rate: float,
+        discount: float,
+    ) -> None:
+        self.shape = tuple(shape)
+        levels = [np.linspace(a, b, ACTION_BINS) for a, b in zip(low, high, strict=True)]
+        self.actions = np.stack([a.ravel() for a in np.meshgrid(*levels, indexing="ij")], 1)
+        self.low, self.high = np.array(low), np.array(high)
+        self.learning_rate, self.discount = learning_rate, discount
+        self.values = np.zeros((1024, len(self.actions)))
+        self._entries: dict[bytes, int] = {}
+
+    def rows(self, observation: np.ndarray) -> np.ndarray:
+        """The table rows [robots of all arenas] of observations [*shape, sensors]."""
+        flat = observation.reshape(-1, observation.shape[-1])
+        bins = np.rint(flat * (STATE_BINS - 1)).astype(np.uint8)
+        robots = np.arange(len(bins), dtype=np.uint32).view(np.uint8).reshape(-1, 4)
+        keys = np.concatenate([robots, bins], 1)
+        entries = self._entries
+        rows = np.array([entries.setdefault(key.tobytes(), len(entries)) for key in keys])
+        while len(entries) > len(self.values):
+            self.values = np.pad(self.values, ((0, len(self.values)), (0, 0)))
+        return rows
+
+    def index(self, action: np.ndarray) -> np.ndarray:
+        """The nearest table action [...] of actions [..., A]."""
+        unit = (action - self.low) / (self.high - self.low)
+        levels = np.rint(unit * (ACTION_BINS - 1)).astype(np.int64)
+        return levels @ ACTION_BINS ** np.arange(levels.shape[-1])[::-1]
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Visited entries as arrays: keys [entries, bytes] and values [entries, actions]."""
+        keys = np.frombuffer(b"".join(self._entries), np.uint8).reshape(len(self._entries), -1)
+        return {"keys": keys, "values": self.values[: len(self._entries)]}
+
+    def load_state(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from `state`."""
+        self._entries = {key.tobytes(): row for row, key in enumerate(state["keys"])}
+        self.values = np.pad(state["values"], ((0, 1024), (0, 0)))
+
+
+class TablePolicy(TensorDictModuleBase):
+    """Epsilon-greedy over the table; an exploratory action is uniform over the whole range.
+
+    Reads `observation`, writes `action`. Equal values are told apart at random, as in OpenNERO.
+
+    Args:
+        table: The tables.
+        epsilon: Probability of exploring, per tick and robot.
+        seeds: One seed for each arena.
+    """
+
+    def __init__(self, table: QTable, *, epsilon: float, seeds: Sequence[int]) -> None:
+        super().__init__()
+        self.in_keys = ["observation"]
+        self.out_keys = ["action"]
+        self.table = table
+        self.epsilon = epsilon
+        self.generators = [np.random.default_rng([seed, 2]) for seed in seeds]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Add every robot's action to `tensordict`."""
+        table = self.table
+        values = table.values[table.rows(tensordict.get("observation").numpy())]
+        arenas, robots = table.shape
+        noise = np.stack([rng.random((robots, values.shape[-1])) for rng in self.generators])
+        best = values == values.max(-1, keepdims=True)
+        greedy = np.where(best, noise.reshape(values.shape), -1.0).argmax(-1)
+        action = table.actions[greedy].reshape(arenas, robots, -1)
+        if exploration_type() in (None, ExplorationType.RANDOM):
+            draws = [rng.random((robots, 1 + action.shape[-1])) for rng in self.generators]
+            draw = np.stack(draws)
+            explore = draw[..., :1] < self.epsilon
+            anywhere = table.low + draw[..., 1:] * (table.high - table.low)
+            action = np.where(explore, anywhere, action)
+        return tensordict.set("action", torch.from_numpy(action.astype(np.float32)))
+
+    def reset(self, newborn: Tensor) -> None:
+        """There are no newborns without evolution."""
+
+    def state(self) -> dict[str, Any]:
+        """The random generators."""
+        return {"generators": [rng.bit_generator.state for rng in self.generators]}
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Go on from `state`."""
+        for rng, bits in zip(self.generators, state["generators"], strict=True):
+            rng.bit_generator.state = bits
+
+
+class TableLearner:
+    """Watkins' Q-learning on the tables: Q += alpha (r + gamma max Q' - Q).
+
+    Tables survive the end of a life, as in OpenNERO. With batches of one tick the update is
+    on-line. The environment's rewards in [0, 1] are moved to [-1, 0]: OpenNERO's were negative, so
+    that entries never visited, which are 0, look best.
+    """
+
+    def __init__(self, table: QTable) -> None:
+        self.table = table
+
+    def update(self, batch: TensorDictBase) -> Tensor:
+        """Learn from transitions [*shape, ticks]; returns the mean squared TD error [*shape]."""
+        table, errors = self.table, []
+        rewards = batch.get(("next", "reward")).squeeze(-1).double().numpy() - 1
+        for tick in range(rewards.shape[-1]):
+            now = table.rows(batch.get("observation")[:, :, tick].numpy())
+            following = table.rows(batch.get(("next", "observation"))[:, :, tick].numpy())
+            action = table.index(batch.get("action")[:, :, tick].numpy()).ravel()
+            target = rewards[..., tick].ravel() + table.discount * table.values[following].max(-1)
+            error = target - table.values[now, action]
+            table.values[now, action] += table.learning_rate * error
+            errors.append(error**2)
+        return torch.from_numpy(np.mean(errors, 0).reshape(table.shape))
+
+    def reset(self, newborn: Tensor) -> None:
+        """There are no newborns without evolution."""
+
+    def state(self) -> dict[str, np.ndarray]:
+        """The tables."""
+        return self.table.state()
+
+    def load_state(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from `state`."""
+        self.table.load_state(state)

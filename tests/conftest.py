@@ -1,0 +1,18 @@
+"""Every test runs on one thread, without a display, with the same examples each time."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("MPLBACKEND", "Agg")  # before anything imports matplotlib
+
+import torch
+from hypothesis import settings
+
+torch.set_num_threads(1)
+
+# The same examples in every run: a red test stays red. To hunt for new examples:
+#   HYPOTHESIS_PROFILE=search make test
+settings.register_profile("ci", derandomize=True, deadline=None, database=None, print_blob=True)
+settings.register_profile("search", max_examples=1000, deadline=None, database=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))

@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from neatq_torch.genome import DistanceConfig, Genome, compatibility, distances, initial_genome
+
+PLAIN = DistanceConfig()
+
+
+def test_distance_is_computed_by_hand(make_genome: Callable[..., Genome]) -> None:
+    # Matching 1 and 4: weights 0.5 and 1 apart. Disjoint: 2 and 3. Excess: 6 and 7.
+    a = make_genome([(1, 1, 4, 0.5), (2, 2, 4, 1.0), (4, 3, 4, 2.0)])
+    b = make_genome(
+        [(1, 1, 4, 0.0), (3, 1, 5, 1.0), (4, 3, 4, 1.0), (6, 2, 5, 1.0), (7, 5, 4, 1.0)],
+        hidden=(5,),
+    )
+    assert compatibility(a, b, PLAIN) == pytest.approx(2 + 2 + 0.4 * 0.75)
+    other = DistanceConfig(disjoint=10.0, excess=100.0, weight=1.0)
+    assert compatibility(a, b, other) == pytest.approx(20 + 200 + 0.75)
+
+
+def test_counts_are_divided_by_the_larger_genome_only_when_it_is_large() -> None:
+    rng = np.random.default_rng(0)
+    few, many = initial_genome(1, 3, rng=rng), initial_genome(9, 3, rng=rng)
+    few = few.with_weights(many.link_weight[:6])
+    normalised = DistanceConfig(weight=0.0, normalised=True)
+    assert few.link_innovation.size == 6
+    assert many.link_innovation.size == 30
+    assert compatibility(few, many, DistanceConfig(weight=0.0)) == 24.0
+    assert compatibility(few, many, normalised) == pytest.approx(24.0 / 30.0)
+    medium = initial_genome(5, 3, rng=rng)  # 18 links, fewer than 20
+    assert compatibility(few, medium, normalised) == 12.0
+
+
+def test_genomes_without_links_have_a_distance(
+    make_genome: Callable[..., Genome], small: Genome
+) -> None:
+    empty = make_genome([])
+    assert compatibility(empty, empty, PLAIN) == 0.0
+    assert compatibility(empty, small, PLAIN) == 5.0
+    assert compatibility(small, empty, PLAIN) == 5.0
+    assert distances(small, [], PLAIN).shape == (0,)
+
+
+def test_distance_sees_learned_weights(small: Genome) -> None:
+    learned = small.with_weights(small.link_weight + np.float32(1.0))
+    assert compatibility(small, learned, PLAIN) == pytest.approx(0.4)
+
+
+@given(st.lists(st.tuples(st.integers(1, 4), st.integers(1, 4)), min_size=1, max_size=5))
+def test_many_distances_are_those_of_the_pairs_and_symmetric(
+    shapes: list[tuple[int, int]],
+) -> None:
+    rng = np.random.default_rng(1)
+    genomes = [initial_genome(*shape, rng=rng) for shape in shapes]
+    together = distances(genomes[0], genomes, PLAIN)
+    assert together.tolist() == [compatibility(genomes[0], one, PLAIN) for one in genomes]
+    assert together.tolist() == [compatibility(one, genomes[0], PLAIN) for one in genomes]
+    assert together[0] == 0.0
+
+
+def test_a_negative_coefficient_is_refused() -> None:
+    with pytest.raises(ValueError, match="excess must be a finite number >= 0"):
+        DistanceConfig(excess=-1.0)

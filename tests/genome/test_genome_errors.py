@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from neatq_torch.genome import Genome, GenomeError
+
+Edit = Callable[[dict[str, Any]], object]
+
+
+def put(table: str, column: str, place: int, value: object) -> Edit:
+    return lambda data: data[table][column].__setitem__(place, value)
+
+
+def drop(*keys: str) -> Edit:
+    def edit(data: dict[str, Any]) -> None:
+        for key in keys[:-1]:
+            data = data[key]
+        del data[keys[-1]]
+
+    return edit
+
+
+def add(**values: object) -> Edit:
+    return lambda data: data.update(values)
+
+
+BAD: dict[str, tuple[Edit, str]] = {
+    "unknown target": (
+        put("links", "target", 1, 99),
+        "link with innovation 2: target 99 is not a node",
+    ),
+    "unknown source": (
+        put("links", "source", 4, 77),
+        "link with innovation 5: source 77 is not a node",
+    ),
+    "into input": (put("links", "target", 3, 2), "link with innovation 4: target 2 is an input"),
+    "into bias": (put("links", "target", 3, 3), "link with innovation 4: target 3 is an input"),
+    "nan weight": (put("links", "weight", 2, float("nan")), "link with innovation 3: weight nan"),
+    "inf weight": (put("links", "weight", 2, float("inf")), "link with innovation 3: weight inf"),
+    "weight beyond float32": (
+        put("links", "weight", 2, 1e300),
+        "link with innovation 3: weight inf",
+    ),
+    "weight beyond float64": (
+        put("links", "weight", 2, 10**400),
+        r"link with innovation 3: weight 1(0+) is too large",
+    ),
+    "text weight": (put("links", "weight", 0, "1"), "link with innovation 1: weight must be float"),
+    "number as flag": (
+        put("links", "enabled", 1, 1),
+        "link with innovation 2: enabled must be bool",
+    ),
+    "fraction as id": (put("nodes", "id", 0, 1.5), "node 1.5: id must be int"),
+    "flag as id": (put("links", "source", 0, True), "link with innovation 1: source must be int"),
+    "id too large": (put("nodes", "id", 0, 2**31), "node 2147483648: id 2147483648 is too large"),
+    "innovation too large": (
+        put("links", "innovation", 4, 2**63),
+        r"innovation \d+ is too large",
+    ),
+    "node twice": (put("nodes", "id", 4, 4), "node id 4 occurs more than once"),
+    "innovation twice": (
+        put("links", "innovation", 3, 3),
+        "link with innovation 3 occurs more than once",
+    ),
+    "unsorted": (
+        put("links", "innovation", 0, 9),
+        "link with innovation 2 follows the one with 9",
+    ),
+    "link twice": (
+        lambda d: (put("links", "source", 1, 1)(d), put("links", "target", 1, 4)(d)),
+        r"innovations \[1, 2\] all lead from 1 to 4",
+    ),
+    "loop": (put("links", "source", 3, 5), "cycle 5 -> 5 .* must be marked recurrent"),
+    "kind": (put("nodes", "kind", 4, "hiden"), "node 5: kind 'hiden' is unknown"),
+    "activation": (
+        put("nodes", "activation", 4, "sigmiod"),
+        "node 5: activation 'sigmiod' is unknown",
+    ),
+    "two biases": (put("nodes", "kind", 1, "bias"), r"nodes \[2, 3\] are all of kind bias"),
+    "no output": (put("nodes", "kind", 3, "hidden"), "no output node"),
+    "no input": (
+        lambda d: (put("nodes", "kind", 0, "hidden")(d), put("nodes", "kind", 1, "hidden")(d)),
+        "no input node",
+    ),
+    "missing key": (drop("genome_id"), "key 'genome_id' is missing"),
+    "missing column": (drop("links", "weight"), "links: key 'weight' is missing"),
+    "missing table": (drop("nodes"), "key 'nodes' is missing"),
+    "unknown key": (add(fitness=1), "key 'fitness' is unknown"),
+    "unknown column": (lambda d: d["nodes"].update(bias=[]), "nodes: key 'bias' is unknown"),
+    "short column": (lambda d: d["links"]["weight"].pop(), "links.weight has 4 entries for 5"),
+    "column is no list": (lambda d: d["links"].update(weight=3), "links.weight must be a list"),
+    "table is no object": (add(nodes=[1]), "nodes must be a JSON object"),
+    "other version": (add(version=2), "version.* is 2"),
+    "version is text": (add(version="1"), "version.* is '1'"),
+    "no version": (drop("version"), "version.* is None"),
+    "other format": (add(format="neat"), "format.* 'neat'"),
+    "id is text": (add(genome_id="7"), "key 'genome_id' must be int"),
+    "schema is a number": (add(observation_schema=1), "key 'observation_schema' must be str"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_genome_is_refused_by_name(small: Genome, name: str) -> None:
+    edit, message = BAD[name]
+    data = copy.deepcopy(small.to_dict())
+    edit(data)
+    with pytest.raises(GenomeError, match=message):
+        Genome.from_json(json.dumps(data))
+
+
+@pytest.mark.parametrize("text", ["", "{", "nothing", "[" * 200_000, '{"format": 1, }'])
+def test_broken_json_is_refused(text: str) -> None:
+    with pytest.raises(GenomeError, match="not valid JSON"):
+        Genome.from_json(text)
+
+
+@pytest.mark.parametrize("text", ["[]", "3", "null", '"genome"'])
+def test_json_that_is_no_object_is_refused(text: str) -> None:
+    with pytest.raises(GenomeError, match="a genome is a JSON object, not"):
+        Genome.from_json(text)
+
+
+def test_a_cycle_is_told_with_its_nodes(make_genome: Callable[..., Genome]) -> None:
+    links = [(1, 1, 5, 1.0), (2, 5, 6, 1.0), (3, 6, 5, 1.0), (4, 6, 4, 1.0)]
+    with pytest.raises(GenomeError, match=r"cycle (5 -> 6 -> 5|6 -> 5 -> 6) .* recurrent"):
+        make_genome(links, hidden=(5, 6))
+
+
+def test_a_disabled_forward_link_counts_for_cycles(make_genome: Callable[..., Genome]) -> None:
+    links = [(1, 1, 4, 1.0), (2, 4, 4, 1.0)]
+    with pytest.raises(GenomeError, match="cycle 4 -> 4"):
+        make_genome(links, link_enabled=[True, False])
+
+
+def test_columns_of_different_length_are_refused(make_genome: Callable[..., Genome]) -> None:
+    with pytest.raises(GenomeError, match="'link_enabled': 2"):
+        make_genome([(1, 1, 4, 1.0)], link_enabled=[True, True])
+
+
+def test_an_array_is_never_rounded_to_ids(make_genome: Callable[..., Genome]) -> None:
+    with pytest.raises(GenomeError, match=r"link_source\[0\] is 1.5"):
+        make_genome([(1, 1, 4, 1.0)], link_source=[1.5])
+    with pytest.raises(GenomeError, match="must be a 1-D array"):
+        make_genome([(1, 1, 4, 1.0)], link_source=[[1]])
+
+
+def test_weights_are_checked_where_they_are_replaced(small: Genome) -> None:
+    with pytest.raises(GenomeError, match="link with innovation 4: weight nan"):
+        small.with_weights([0.0, 0.0, 0.0, float("nan"), 0.0])
+    with pytest.raises(GenomeError, match="5 links, not 4"):
+        small.with_weights([0.0] * 4)
+    with pytest.raises(GenomeError, match="5 links, not 1"):
+        small.replaced(link_enabled=[True])
+
+
+def test_a_kind_or_activation_out_of_range_is_refused(make_genome: Callable[..., Genome]) -> None:
+    with pytest.raises(GenomeError, match="node 2: kind 4"):
+        make_genome([], node_kind=[0, 4, 1, 2])
+    with pytest.raises(GenomeError, match="node 4: activation 5"):
+        make_genome([], node_activation=[0, 0, 0, 5])

@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from neatq_torch.genome import ACTIVATIONS, GenomeError, identical, initial_genome
+
+
+def test_every_input_and_the_bias_are_linked_to_every_output() -> None:
+    genome = initial_genome(2, 2, rng=np.random.default_rng(0), activation="tanh", genome_id=3)
+    assert genome.input_ids.tolist() == [1, 2]
+    assert genome.bias_id == 3
+    assert genome.output_ids.tolist() == [4, 5]
+    assert genome.link_innovation.tolist() == [1, 2, 3, 4, 5, 6]
+    assert genome.link_source.tolist() == [1, 2, 3, 1, 2, 3]
+    assert genome.link_target.tolist() == [4, 4, 4, 5, 5, 5]
+    names = [ACTIVATIONS[index] for index in genome.node_activation]
+    assert names == ["identity"] * 3 + ["tanh"] * 2
+    assert genome.genome_id == 3
+
+
+def test_opennero_starts_with_76_and_950_genes() -> None:
+    rng = np.random.default_rng(0)
+    assert initial_genome(18, 4, rng=rng).link_innovation.size == 76
+    assert initial_genome(18, 50, rng=rng).link_innovation.size == 950
+
+
+def test_there_may_be_no_bias() -> None:
+    genome = initial_genome(2, 1, rng=np.random.default_rng(0), bias=False)
+    assert genome.bias_id is None
+    assert genome.output_ids.tolist() == [3]
+
+
+def test_start_weights_are_uniform_within_one_and_some_are_zero() -> None:
+    rng = np.random.default_rng(0)
+    weights = np.array([initial_genome(18, 4, rng=rng).link_weight for _ in range(1000)])
+    assert np.abs(weights).max() <= 1.0
+    # Severe in half of the genomes: 10 % stay 0. Else the 15 genes beyond 0.8 * 76: 30 % do.
+    expected = 0.5 * 0.1 + 0.5 * 0.3 * 15 / 76
+    assert (weights == 0).mean() == pytest.approx(expected, abs=0.01)
+    assert weights[weights != 0].std() == pytest.approx(1 / np.sqrt(3), rel=0.02)
+
+
+def test_the_same_generator_gives_the_same_genome() -> None:
+    first, second = (initial_genome(3, 2, rng=np.random.default_rng(5)) for _ in range(2))
+    assert identical(first, second)
+
+
+def test_impossible_shapes_are_refused() -> None:
+    with pytest.raises(ValueError, match="at least 1 input and 1 output, not 0 and 2"):
+        initial_genome(0, 2, rng=np.random.default_rng(0))
+    with pytest.raises(GenomeError, match="activation 'sin' is unknown"):
+        initial_genome(1, 2, rng=np.random.default_rng(0), activation="sin")

@@ -1,0 +1,266 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from neatq_torch.genome import (
+    Genome,
+    InnovationLedger,
+    MutationConfig,
+    NodeKind,
+    add_link,
+    add_node,
+    identical,
+    initial_genome,
+    mutate,
+    mutate_weights,
+    reenable,
+    toggle_enable,
+)
+from neatq_torch.genome.mutation import mutated_weights
+
+PLAIN = MutationConfig()
+START = 10.0  # far from U(-0.5, 0.5), so that new weights and moved ones cannot be confused
+
+
+def shares(config: MutationConfig, links: int) -> np.ndarray:
+    """[mutations, links] of 0 kept, 1 moved, 2 new."""
+    rng = np.random.default_rng(0)
+    weights = np.full(links, START, dtype=np.float32)
+    new = np.array([mutated_weights(weights, config, rng) for _ in range(4000)])
+    return np.where(new == START, 0, np.where(np.abs(new) < 1, 2, 1))
+
+
+def rates(kinds: np.ndarray) -> list[float]:
+    return [float((kinds == kind).mean()) for kind in (0, 1, 2)]
+
+
+def test_half_of_openneros_weight_mutations_are_severe_and_the_tail_is_shaken() -> None:
+    kinds = shares(MutationConfig(max_link_weight=None), 20)
+    old, young = kinds[:, :17], kinds[:, 17:]  # genes beyond 0.8 * 20 = 16 are young
+    # Old genes: half 10 / 70 / 20, half 0 / 100 / 0. Young: half of the same, half 30 / 50 / 20.
+    assert rates(old) == pytest.approx([0.05, 0.85, 0.10], abs=0.02)
+    assert rates(young) == pytest.approx([0.20, 0.60, 0.20], abs=0.02)
+    gentle = (old == 1).all(axis=1)
+    assert gentle.mean() == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_genome_of_less_than_ten_genes_has_no_tail() -> None:
+    kinds = shares(MutationConfig(max_link_weight=None), 9)
+    assert rates(kinds[:, 8:]) == pytest.approx([0.05, 0.85, 0.10], abs=0.02)
+
+
+def test_neat_2002_moves_90_percent_and_renews_10_percent() -> None:
+    config = MutationConfig(weight_scheme="neat2002", max_link_weight=None)
+    assert rates(shares(config, 20)) == pytest.approx([0.0, 0.9, 0.1], abs=0.01)
+
+
+def test_weights_move_uniformly_within_the_power_and_are_capped() -> None:
+    config = MutationConfig(weight_scheme="neat2002", weight_replace_prob=0.0)
+    rng = np.random.default_rng(0)
+    moved = mutated_weights(np.zeros(20_000, dtype=np.float32), config, rng)
+    assert np.abs(moved).max() <= 0.5
+    assert moved.std() == pytest.approx(0.5 / np.sqrt(3), rel=0.02)
+    capped = mutated_weights(np.full(1000, 9.0, dtype=np.float32), PLAIN, rng)
+    assert capped.max() == 3.0
+    assert mutated_weights(np.full(1000, -9.0, dtype=np.float32), PLAIN, rng).min() == -3.0
+
+
+def test_a_new_node_splits_a_link(small: Genome) -> None:
+    ledger, rng = InnovationLedger.for_genomes([small]), np.random.default_rng(0)
+    only = small.replaced(link_enabled=[False, True, False, False, False])
+    child = add_node(only, PLAIN, ledger, rng)
+    assert child.link_enabled.tolist() == [False, False, False, False, False, True, True]
+    assert child.node_id.tolist() == [1, 2, 3, 4, 5, 6]
+    assert child.node_kind[5] == NodeKind.HIDDEN
+    assert child.link_source[5:].tolist() == [2, 6]
+    assert child.link_target[5:].tolist() == [6, 4]
+    assert child.link_weight[5:].tolist() == [1.0, pytest.approx(-0.3)]
+    neat = MutationConfig(split_weight_scale=1.0, hidden_activation="steep_sigmoid")
+    child = add_node(only, neat, ledger, rng)
+    assert child.link_weight[6] == -1.0
+    assert child.node_activation[5] == 2
+
+
+def test_a_link_of_the_bias_is_never_split(small: Genome) -> None:
+    only = small.replaced(link_enabled=[False, False, True, False, False])
+    ledger = InnovationLedger.for_genomes([small])
+    assert add_node(only, PLAIN, ledger, np.random.default_rng(0)) is only
+
+
+def test_splitting_a_recurrent_link_keeps_the_delay_in_front_of_the_node(
+    make_genome: Callable[..., Genome],
+) -> None:
+    genome = make_genome([(1, 4, 4, 2.0)], link_recurrent=[True])
+    ledger = InnovationLedger.for_genomes([genome])
+    child = add_node(genome, PLAIN, ledger, np.random.default_rng(0))
+    assert child.link_recurrent.tolist() == [True, True, False]
+
+
+def test_the_same_structural_mutation_gets_the_same_number_and_weight(
+    make_genome: Callable[..., Genome],
+) -> None:
+    # The only forward place is 2 -> 4; the second genome finds it with another random weight.
+    genome = make_genome([(1, 1, 4, 0.5), (2, 3, 4, 0.5)])
+    config = MutationConfig(recurrent_link_prob=0.0, new_link_tries=200)
+    ledger = InnovationLedger.for_genomes([genome])
+    first = add_link(genome, config, ledger, np.random.default_rng(1))
+    second = add_link(genome, config, ledger, np.random.default_rng(2))
+    assert first.link_innovation.tolist() == [1, 2, 3]
+    assert (first.link_source[2], first.link_target[2]) == (2, 4)
+    assert identical(first, second)
+    fresh = InnovationLedger.for_genomes([genome])
+    alone = add_link(genome, config, fresh, np.random.default_rng(2))
+    assert alone.link_weight[2] != second.link_weight[2]
+
+
+def test_two_genomes_that_split_the_same_link_share_the_node(small: Genome) -> None:
+    ledger = InnovationLedger.for_genomes([small])
+    only = small.replaced(link_enabled=[False, True, False, False, False])
+    children = [add_node(only, PLAIN, ledger, np.random.default_rng(i)) for i in (1, 2)]
+    assert identical(*children)
+    again = children[0].replaced(link_enabled=[False, True] + [False] * 5)
+    assert add_node(again, PLAIN, ledger, np.random.default_rng(3)).node_id[-1] == 7
+
+
+def test_a_genome_without_free_place_stays_as_it_is() -> None:
+    rng = np.random.default_rng(0)
+    genome = initial_genome(3, 2, rng=rng)
+    config = MutationConfig(recurrent_link_prob=0.0, new_link_tries=500)
+    assert add_link(genome, config, InnovationLedger.for_genomes([genome]), rng) is genome
+
+
+def test_links_out_of_outputs_are_recurrent_and_half_of_the_tries_look_at_loops() -> None:
+    rng = np.random.default_rng(0)
+    genome = initial_genome(1, 20, rng=rng)
+    config = MutationConfig(recurrent_link_prob=1.0, new_link_tries=100)
+    ledger = InnovationLedger.for_genomes([genome])
+    children = [add_link(genome, config, ledger, rng) for _ in range(600)]
+    assert all(child.link_recurrent[-1] for child in children)
+    assert all(child.link_source[-1] > 2 for child in children)
+    loops = np.mean([child.link_source[-1] == child.link_target[-1] for child in children])
+    # Of 22 nodes the 20 outputs can be the source: a loop by chance in 1 of 22 other tries.
+    by_kind = 0.5, 0.5 * 20 / 22
+    assert loops == pytest.approx((by_kind[0] + by_kind[1] / 20) / sum(by_kind), abs=0.05)
+
+
+def test_a_link_against_the_stream_is_recurrent(make_genome: Callable[..., Genome]) -> None:
+    links = [(1, 1, 5, 1.0), (2, 5, 6, 1.0), (3, 6, 4, 1.0)]
+    genome = make_genome(links, hidden=(5, 6), link_enabled=[True, False, True])
+    rng = np.random.default_rng(0)
+    seen: set[tuple[int, int, bool]] = set()
+    for prob in (0.0, 1.0):
+        config = MutationConfig(recurrent_link_prob=prob, new_link_tries=50)
+        for _ in range(300):
+            child = add_link(genome, config, InnovationLedger.for_genomes([genome]), rng)
+            last = int(child.link_source[-1]), int(child.link_target[-1])
+            seen.add((*last, bool(child.link_recurrent[-1])))
+    recurrent = {(source, target) for source, target, flag in seen if flag}
+    assert recurrent == {(4, 4), (4, 5), (4, 6), (5, 5), (6, 5), (6, 6)}
+    forward = {(source, target) for source, target, flag in seen if not flag}
+    sensors = {(source, target) for source in (1, 2, 3) for target in (4, 5, 6)}
+    assert forward == (sensors | {(5, 4)}) - {(1, 5)}
+
+
+@pytest.mark.parametrize(
+    ("config", "expected"),
+    [
+        ({"add_node_prob": 1.0}, "node"),
+        ({"add_node_prob": 0.0, "add_link_prob": 1.0, "recurrent_link_prob": 1.0}, "link"),
+        ({"add_node_prob": 0.0, "add_link_prob": 0.0, "link_weights_prob": 1.0}, "weights"),
+        ({"add_node_prob": 0.0, "add_link_prob": 0.0, "link_weights_prob": 0.0}, "nothing"),
+    ],
+)
+def test_a_structural_mutation_is_the_only_one(
+    small: Genome, config: dict[str, Any], expected: str
+) -> None:
+    config = {"new_link_tries": 100, "split_tries": 100} | config
+    ledger = InnovationLedger.for_genomes([small])
+    child = mutate(small, MutationConfig(**config), ledger, np.random.default_rng(0))
+    kept = np.isin(child.link_innovation, small.link_innovation)
+    same_weights = np.array_equal(child.link_weight[kept], small.link_weight)
+    grown = child.node_id.size - 5, child.link_innovation.size - 5
+    found = {(1, 2): "node", (0, 1): "link", (0, 0): "weights"}[grown]
+    assert (found if not (same_weights and grown == (0, 0)) else "nothing") == expected
+    assert same_weights == (expected != "weights")
+
+
+def test_mutations_happen_as_often_as_configured(small: Genome) -> None:
+    ledger, rng = InnovationLedger.for_genomes([small]), np.random.default_rng(0)
+    config = MutationConfig(add_node_prob=0.2, add_link_prob=0.5, recurrent_link_prob=1.0)
+    children = [mutate(small, config, ledger, rng) for _ in range(2000)]
+    nodes = np.array([child.node_id.size - 5 for child in children])
+    links = np.array([child.link_innovation.size - 5 for child in children]) - 2 * nodes
+    assert nodes.mean() == pytest.approx(0.2, abs=0.03)
+    assert links.mean() == pytest.approx(0.8 * 0.5, abs=0.04)
+
+
+def test_disabling_never_cuts_off_the_last_link_of_a_node(small: Genome) -> None:
+    rng = np.random.default_rng(0)
+    seen = {tuple(toggle_enable(small, rng).link_enabled.tolist()) for _ in range(200)}
+    # Only node 1 has two enabled links, 1 and 4.
+    assert seen == {
+        (True,) * 5,
+        (False, True, True, True, True),
+        (True, True, True, False, True),
+    }
+
+
+def test_a_disabled_link_can_be_toggled_back(small: Genome) -> None:
+    off, rng = small.replaced(link_enabled=[False] * 5), np.random.default_rng(0)
+    assert toggle_enable(off, rng).link_enabled.sum() == 1
+
+
+def test_reenable_switches_the_first_disabled_link_on(small: Genome) -> None:
+    off = small.replaced(link_enabled=[True, False, True, False, True])
+    assert reenable(off).link_enabled.tolist() == [True, True, True, False, True]
+    assert reenable(small) is small
+
+
+def test_toggling_and_reenabling_happen_if_asked_for(small: Genome) -> None:
+    quiet = MutationConfig(add_node_prob=0.0, add_link_prob=0.0, link_weights_prob=0.0)
+    ledger = InnovationLedger.for_genomes([small])
+    off = small.replaced(link_enabled=[False] * 5)
+    for extra in ("toggle_enable_prob", "reenable_prob"):
+        config = replace(quiet, **{extra: 1.0})
+        child = mutate(off, config, ledger, np.random.default_rng(0))
+        assert child.link_enabled.sum() == 1
+
+
+def test_mutation_leaves_the_parent_as_it_was(small: Genome) -> None:
+    before = small.to_json()
+    ledger, rng = InnovationLedger.for_genomes([small]), np.random.default_rng(0)
+    for _ in range(50):
+        mutate(small, MutationConfig(add_node_prob=0.3, add_link_prob=0.3), ledger, rng)
+    assert small.to_json() == before
+
+
+def test_genomes_without_links_can_mutate(make_genome: Callable[..., Genome]) -> None:
+    empty, rng = make_genome([]), np.random.default_rng(0)
+    ledger = InnovationLedger.for_genomes([empty])
+    assert add_node(empty, PLAIN, ledger, rng) is empty
+    assert toggle_enable(empty, rng) is empty
+    assert identical(mutate_weights(empty, PLAIN, rng), empty)
+    config = MutationConfig(recurrent_link_prob=0.0, new_link_tries=50)
+    assert add_link(empty, config, ledger, rng).link_innovation.tolist() == [1]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"add_node_prob": 1.2}, "add_node_prob must be a probability"),
+        ({"weight_mutation_power": -1.0}, "weight_mutation_power must be a finite number"),
+        ({"new_link_tries": 0}, "new_link_tries must be at least 1"),
+        ({"max_link_weight": 0.0}, "max_link_weight must be positive, or None"),
+        ({"weight_scheme": "neat"}, "weight_scheme must be"),
+        ({"split_weight_scale": float("nan")}, "split_weight_scale must be finite"),
+        ({"hidden_activation": "sin"}, "activation 'sin' is unknown"),
+    ],
+)
+def test_a_config_out_of_range_is_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        MutationConfig(**change)

@@ -1,0 +1,89 @@
+"""Whatever sequence of mutations and crossovers happens, genomes stay sound."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from neatq_torch.genome import (
+    CrossoverConfig,
+    Genome,
+    InnovationLedger,
+    MutationConfig,
+    NodeKind,
+    identical,
+    initial_genome,
+    multipoint,
+    multipoint_average,
+    mutate,
+)
+
+WILD = MutationConfig(
+    add_node_prob=0.3,
+    add_link_prob=0.6,
+    recurrent_link_prob=0.3,
+    toggle_enable_prob=0.3,
+    reenable_prob=0.2,
+)
+
+
+def is_sound(genome: Genome) -> bool:
+    """Check a genome link by link, without any code of the library."""
+    kinds = dict(zip(genome.node_id.tolist(), genome.node_kind.tolist(), strict=True))
+    columns = (genome.link_source, genome.link_target, genome.link_recurrent)
+    links = list(zip(*(column.tolist() for column in columns), strict=True))
+    ends_known = all(source in kinds and target in kinds for source, target, _ in links)
+    targets_fit = all(kinds[target] in (NodeKind.OUTPUT, NodeKind.HIDDEN) for _, target, _ in links)
+    rising = all(np.diff(genome.link_innovation) > 0) and len(set(links)) == len(links)
+    left = [(source, target) for source, target, recurrent in links if not recurrent]
+    while left and (free := {s for s, _ in left} - {t for _, t in left}):
+        left = [(source, target) for source, target in left if source not in free]
+    return ends_known and targets_fit and rising and not left
+
+
+def evolve(seed: int, steps: int, keep_all_genes: bool) -> list[Genome]:
+    rng = np.random.default_rng(seed)
+    genomes = [initial_genome(2, 2, rng=rng, genome_id=number) for number in range(4)]
+    ledger = InnovationLedger.for_genomes(genomes)
+    config = CrossoverConfig(keep_all_genes=keep_all_genes)
+    for step in range(steps):
+        first, second = (genomes[int(index)] for index in rng.integers(4, size=2))
+        cross = multipoint if rng.random() < 0.5 else multipoint_average
+        child = cross(first, second, bool(rng.random() < 0.5), config, rng)
+        child = mutate(child, WILD, ledger, rng)
+        genomes[step % 4] = child.replaced(genome_id=4 + step)
+    return genomes
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 10_000), st.integers(1, 60), st.booleans())
+def test_variation_keeps_every_genome_sound(seed: int, steps: int, keep_all: bool) -> None:
+    for genome in evolve(seed, steps, keep_all):
+        assert is_sound(genome)
+        assert identical(Genome.from_json(genome.to_json()), genome)
+        assert genome.input_ids.tolist() == [1, 2]
+        assert genome.output_ids.tolist() == [4, 5]
+        assert np.abs(genome.link_weight).max() <= 3.0
+
+
+def test_wild_variation_grows_structure_of_every_kind() -> None:
+    genomes = evolve(seed=0, steps=100, keep_all_genes=True)
+    assert min(genome.node_id.size for genome in genomes) > 15
+    assert all(genome.link_recurrent.any() for genome in genomes)
+    assert all((~genome.link_enabled).any() for genome in genomes)
+
+
+def test_equal_innovations_are_equal_links_in_the_whole_run() -> None:
+    known: dict[int, tuple[int, int, bool]] = {}
+    for genome in evolve(seed=1, steps=100, keep_all_genes=True):
+        columns = (genome.link_source, genome.link_target, genome.link_recurrent)
+        links = zip(*(column.tolist() for column in columns), strict=True)
+        for innovation, link in zip(genome.link_innovation.tolist(), links, strict=True):
+            assert known.setdefault(innovation, link) == link
+    assert len(set(known.values())) == len(known)
+
+
+def test_the_same_seed_gives_the_same_genomes() -> None:
+    pairs = zip(evolve(3, 40, True), evolve(3, 40, True), strict=True)
+    assert all(identical(first, second) for first, second in pairs)

@@ -1,0 +1,137 @@
+"""How outputs are read, how a candidate is taken, and what a newborn starts with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from neatq_torch.genome import initial_genome
+from neatq_torch.learning import CandidateHeads, CandidatePolicy, EpsilonGreedy
+from neatq_torch.network import PopulationNetwork
+
+
+def test_outputs_are_k_actions_then_k_values() -> None:
+    heads = CandidateHeads(2, [-1.0, 0.0], [1.0, 10.0])
+    candidates, values = heads(torch.tensor([0.0, 0.5, 1.0, 0.1, 0.7, 0.3]))
+    torch.testing.assert_close(candidates, torch.tensor([[-1.0, 5.0], [1.0, 1.0]]))
+    torch.testing.assert_close(values, torch.tensor([0.7, 0.3]))
+    assert heads.outputs == 6
+
+
+def test_a_single_candidate_needs_no_value_output() -> None:
+    heads = CandidateHeads(1, [-1.0], [1.0])
+    candidates, values = heads(torch.tensor([[0.25]]))
+    assert heads.outputs == 1
+    assert candidates.tolist() == [[[-0.5]]]
+    assert values.tolist() == [[0.0]]
+
+
+def test_outputs_beyond_the_unit_range_are_clipped_to_the_bounds() -> None:
+    candidates, _ = CandidateHeads(1, [-1.0], [1.0])(torch.tensor([7.0]))
+    assert candidates.item() == 1.0
+
+
+def test_heads_that_do_not_fit_the_network_are_refused() -> None:
+    genome = initial_genome(3, 4, rng=np.random.default_rng(0))
+    network = PopulationNetwork([genome], shape=(1, 1))
+    with pytest.raises(ValueError, match="2 candidates of 2 actions need 6 network outputs"):
+        heads = CandidateHeads(2, [0.0, 0.0], [1.0, 1.0])
+        CandidatePolicy(network, heads, EpsilonGreedy((1, 1), seeds=[0]))
+
+
+def greedy(shape: tuple[int, int], **settings: float) -> EpsilonGreedy:
+    seeds = range(shape[0])
+    return EpsilonGreedy(shape, seeds=seeds, **settings)  # pyright: ignore[reportArgumentType]
+
+
+def test_without_exploration_the_best_candidate_is_taken_and_of_equals_the_first() -> None:
+    values = torch.tensor([[[0.1, 0.9, 0.3], [0.5, 0.5, 0.5]]])
+    assert greedy((1, 2), epsilon=0.0)(values).tolist() == [[1, 0]]
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        assert greedy((1, 2), epsilon=1.0)(values).tolist() == [[1, 0]]
+
+
+def test_exploration_takes_all_candidates_alike_at_the_rate_epsilon() -> None:
+    explore, values = greedy((4, 50), epsilon=0.2), torch.zeros(4, 50, 5)
+    values[..., 0] = 1.0
+    taken = torch.stack([explore(values) for _ in range(500)])
+    shares = torch.bincount(taken.flatten(), minlength=5) / taken.numel()
+    # 100,000 draws: the standard error of a share of 0.04 is 0.0006.
+    assert shares[1:].tolist() == pytest.approx([0.04] * 4, abs=0.0025)
+
+
+def test_held_exploration_lasts_n_ticks_with_probability_one_over_n_times_n_plus_one() -> None:
+    explore, values = greedy((1, 200), epsilon=0.05, max_hold_ticks=30), torch.zeros(1, 200, 2)
+    lengths, before = [], torch.zeros(200, dtype=torch.long)
+    for _ in range(1500):
+        explore(values)
+        now = explore.remaining_ticks[0] + 1
+        started = (before == 0) & (explore.held[0] >= 0) & (explore.remaining_ticks[0] >= 1)
+        lengths += now[started].tolist()
+        before = explore.remaining_ticks[0]
+    counts = np.bincount(lengths, minlength=31)
+    longer = counts[2:].sum()
+    assert counts[2] / longer == pytest.approx((1 / 6) / (1 / 2), abs=0.03)
+    assert counts[3] / longer == pytest.approx((1 / 12) / (1 / 2), abs=0.03)
+    assert counts[30] / longer == pytest.approx((1 / 30) / (1 / 2), abs=0.02)
+    assert max(lengths) == 30
+
+
+def test_a_run_takes_the_same_candidate_until_it_ends() -> None:
+    explore, values = greedy((1, 1), epsilon=0.5, max_hold_ticks=10), torch.zeros(1, 1, 9)
+    held = None
+    for _ in range(300):
+        running = explore.remaining_ticks.item() > 0
+        taken = explore(values).item()
+        if running:
+            assert taken == held
+        held = taken
+
+
+def test_an_arena_explores_in_the_same_way_whatever_stands_beside_it() -> None:
+    values = torch.zeros(3, 4, 7)
+    together = EpsilonGreedy((3, 4), seeds=[5, 6, 7], epsilon=0.7, max_hold_ticks=5)
+    alone = EpsilonGreedy((1, 4), seeds=[6], epsilon=0.7, max_hold_ticks=5)
+    for _ in range(100):
+        assert torch.equal(together(values)[1:2], alone(values[1:2]))
+
+
+def test_a_newborn_ends_the_run_of_its_predecessor() -> None:
+    explore = greedy((1, 2), epsilon=1.0, max_hold_ticks=100)
+    for _ in range(20):
+        explore(torch.zeros(1, 2, 3))
+    explore.remaining_ticks.fill_(7)
+    explore.reset(torch.tensor([[True, False]]))
+    assert explore.remaining_ticks.tolist() == [[0, 7]]
+
+
+def recurrent_policy() -> CandidatePolicy:
+    genome = initial_genome(1, 1, rng=np.random.default_rng(0), bias=False)
+    genome = genome.replaced(
+        link_innovation=np.array([1, 2]),
+        link_source=np.array([1, 2]),
+        link_target=np.array([2, 2]),
+        link_weight=np.array([1.0, 2.0]),
+        link_enabled=np.ones(2, bool),
+        link_recurrent=np.array([False, True]),
+    )
+    network = PopulationNetwork([genome, genome], shape=(1, 2))
+    heads = CandidateHeads(1, [0.0], [1.0])
+    return CandidatePolicy(network, heads, greedy((1, 2), epsilon=0.0))
+
+
+def test_the_policy_keeps_recurrent_state_and_a_newborn_starts_without() -> None:
+    policy = recurrent_policy()
+    rows = TensorDict({"observation": torch.ones(1, 2, 1)}, (1, 2))
+    first = policy(rows.clone())
+    second = policy(rows.clone())
+    assert not torch.equal(first["action"], second["action"])
+    assert torch.equal(second["network_state"], first["next", "network_state"])
+    policy.reset(torch.tensor([[True, False]]))
+    third = policy(rows.clone())
+    assert torch.equal(third["action"][0, 0], first["action"][0, 0])
+    assert not torch.equal(third["action"][0, 1], first["action"][0, 1])
+    assert third["genome_id"].tolist() == [[[0], [0]]]

@@ -1,0 +1,115 @@
+"""The `neatq` command."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import torch
+import tyro
+
+from neatq_envs.scenario import ScenarioError
+from neatq_torch.checkpoint import CheckpointError
+from neatq_torch.genome import GenomeError
+from neatq_trainers.config import ConfigError, RunConfig, preset
+from neatq_trainers.report import write_report
+from neatq_trainers.run_folder import RunFolder
+from neatq_trainers.train import resume, start
+
+Command = TypeVar("Command")
+
+_USAGE = """usage: neatq {train,resume} ...
+
+Neuroevolution that learns during life: robots, a flag, rtNEAT and Q-learning.
+
+  neatq train   train a population and write a run folder   (neatq train --help)
+  neatq resume  go on with a run, exactly where it stopped  (neatq resume --help)
+
+Example: neatq train --task wall --arm neatq --ticks 70000 --seed 0 --out runs/first
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainCommand:
+    """Train a population and write a run folder.
+
+    --task and --arm choose the defaults of all other options, which this help shows.
+    """
+
+    config: Annotated[RunConfig, tyro.conf.arg(name="")]
+    out: Path | None = None
+    """The run folder; new or empty. Default: runs/TASK-ARM-seedSEED."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResumeCommand:
+    """Go on with a run, exactly where it stopped."""
+
+    folder: tyro.conf.Positional[Path]
+    """The run folder."""
+    ticks: int | None = None
+    """Another length for the run; may be longer than first asked."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status (2 for bad input, 130 after Ctrl-C)."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    commands = {"train": _train, "resume": _resume}
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_USAGE, end="")
+        return 0 if arguments else 2
+    if arguments[0] not in commands:
+        return _fail(f"expected train or resume, got {arguments[0]!r}; see neatq --help")
+    torch.set_num_threads(1)  # small tensors: a second thread only gets in the way
+    try:
+        commands[arguments[0]](arguments[1:])
+    except (ConfigError, ScenarioError, CheckpointError, GenomeError) as error:
+        return _fail(str(error))
+    except OSError as error:
+        return _fail(f"{error.filename or ''}: {error.strerror or error}".lstrip(": "))
+    except KeyboardInterrupt:
+        print("neatq: stopped; go on with: neatq resume", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _fail(message: str) -> int:
+    print(f"neatq: error: {message}", file=sys.stderr)
+    return 2
+
+
+def _train(arguments: list[str]) -> None:
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    first.add_argument("--task", default="wall")
+    first.add_argument("--arm", default="neatq")
+    chosen, _ = first.parse_known_args(arguments)
+    default = TrainCommand(config=preset(chosen.task, chosen.arm))
+    command = _parse(TrainCommand, "train", arguments, default)
+    config = command.config
+    name = f"{config.scenario.name}-{config.arm}-seed{config.seed}"
+    _finish(start(config, command.out or Path("runs") / name))
+
+
+def _resume(arguments: list[str]) -> None:
+    command = _parse(ResumeCommand, "resume", arguments)
+    _finish(resume(command.folder, command.ticks))
+
+
+def _parse(
+    command: type[Command], name: str, arguments: list[str], default: Command | None = None
+) -> Command:
+    """Parse with tyro; values that a configuration refuses become a ConfigError."""
+    given = {} if default is None else {"default": default}
+    try:
+        return tyro.cli(command, prog=f"neatq {name}", args=arguments, **given)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+
+
+def _finish(folder: RunFolder) -> None:
+    write_report(folder)
+    print(f"neatq: {folder.path}: metrics.csv, curves.png, arena.png, team.gif, champion.json")

@@ -1,0 +1,268 @@
+"""What a run is: one typed, frozen configuration, and a preset for each arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import msgspec
+
+from neatq_envs.scenario import TASKS, Scenario, ScenarioError, load_scenario
+from neatq_torch.evolution import RtNEATConfig, interval_ticks
+from neatq_torch.learning import Inheritance, LearnerConfig
+from neatq_torch.network import Evaluation
+
+Arm = Literal["rtneat", "committed", "described", "neatq", "qlearning"]
+LoggerName = Literal["csv", "tensorboard"]
+
+TASK_TICKS = {"flag": 40_000, "moving": 60_000, "wall": 70_000}
+"""Length of the published runs: one tick of their figures is 100 ticks."""
+
+
+class ConfigError(ValueError):
+    """A run cannot be made as asked; the message says what was expected and how to mend it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkConfig:
+    """How a robot's network is made and evaluated.
+
+    Attributes:
+        candidates: Candidate actions K; with 1 there is nothing to choose and no Q-value.
+        evaluation: settle: forward links within one tick; synchronous: one propagation a tick.
+        activation: Of the outputs of the first genomes.
+        double_activation: Activate again with the observation before (published rtNEAT+Q).
+    """
+
+    candidates: int = 10
+    evaluation: Evaluation = "settle"
+    activation: str = "sigmoid"
+    double_activation: bool = False
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        if self.candidates < 1:
+            raise ConfigError(f"network.candidates: expected at least 1, got {self.candidates}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearningConfig:
+    """What a robot learns during its life.
+
+    Attributes:
+        rule: none: evolution alone; td: TD error of the chosen candidate by autograd; table: one
+            Q-table for each robot and no evolution (OpenNERO's Q-learning).
+        step: Learning rate, optimiser and target parameters.
+        discount: gamma of the return.
+        trace_decay: lambda of the return; 0 is one-step Q-learning, 1 the whole batch.
+        normalize_return: Weigh rewards by 1 - gamma, so that a sigmoid can reach the target.
+        epsilon: Probability of starting to explore, per tick.
+        max_hold_ticks: Longest run of an explored candidate; 1 is plain epsilon-greedy.
+        inheritance: lamarckian: what was learnt is written into the genome before it breeds.
+    """
+
+    rule: Literal["none", "td", "table"] = "td"
+    step: LearnerConfig = field(default_factory=LearnerConfig)
+    discount: float = 0.8
+    trace_decay: float = 0.0
+    normalize_return: bool = True
+    epsilon: float = 0.1
+    max_hold_ticks: int = 1
+    inheritance: Inheritance = "lamarckian"
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        for name in ("discount", "trace_decay", "epsilon"):
+            value = getattr(self, name)
+            if not 0 <= value <= 1:
+                raise ConfigError(f"learning.{name}: expected a number in [0, 1], got {value}")
+        if self.max_hold_ticks < 1:
+            raise ConfigError(
+                f"learning.max_hold_ticks: expected at least 1, got {self.max_hold_ticks}"
+            )
+
+
+NO_LEARNING = LearningConfig(rule="none", epsilon=0.0, inheritance="darwinian")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConfig:
+    """A whole run.
+
+    Attributes:
+        task: flag, moving, wall, or the path of a scenario file.
+        arm: rtneat, committed, described, neatq or qlearning; sets the defaults of what follows.
+        ticks: Length of the run; it ends with the batch in which they are reached.
+        arenas: Independent arenas side by side; arena i is the run with seed + i.
+        seed: Of arena 0.
+        batch_ticks: Ticks between two updates; evolution replaces robots between batches. None:
+            rtNEAT's replacement interval, but at most 40.
+        checkpoint_seconds: Time between two checkpoints. Does not change the run.
+        logger: Also log to TorchRL's csv or tensorboard logger.
+        scenario: The world.
+        network: How networks are made.
+        evolution: rtNEAT.
+        learning: What a robot learns.
+    """
+
+    task: str = "wall"
+    arm: Arm = "neatq"
+    ticks: int = 70_000
+    arenas: int = 1
+    seed: int = 0
+    batch_ticks: int | None = None
+    checkpoint_seconds: float = 30.0
+    logger: LoggerName | None = None
+    scenario: Scenario = TASKS["wall"]
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    evolution: RtNEATConfig = field(default_factory=RtNEATConfig)
+    learning: LearningConfig = field(default_factory=LearningConfig)
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        for name in ("ticks", "arenas"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name}: expected at least 1, got {getattr(self, name)}")
+        if self.batch_ticks is not None and self.batch_ticks < 1:
+            raise ConfigError(f"batch_ticks: expected at least 1, got {self.batch_ticks}")
+        weights = tuple(self.scenario.weights().tolist())
+        object.__setattr__(self, "evolution", replace(self.evolution, reward_weights=weights))
+        if self.seed < 0:
+            raise ConfigError(f"seed: expected at least 0, got {self.seed}")
+        if not self.checkpoint_seconds >= 0:
+            raise ConfigError(
+                f"checkpoint_seconds: expected at least 0, got {self.checkpoint_seconds}"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(arenas, robots)."""
+        return self.arenas, self.scenario.robots
+
+    @property
+    def ticks_per_batch(self) -> int:
+        """Ticks of one batch."""
+        if self.batch_ticks is not None:
+            return self.batch_ticks
+        evolution = self.evolution
+        interval = interval_ticks(
+            evolution.minimum_life_ticks, self.scenario.robots, evolution.ineligible_fraction
+        )
+        return max(1, min(40, math.floor(interval)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values from which `from_dict` makes an equal configuration."""
+        return _plain(self)
+
+    @staticmethod
+    def from_dict(values: Mapping[str, Any]) -> RunConfig:
+        """Read what `to_dict` wrote.
+
+        Raises:
+            ConfigError: Naming the field that is missing, of a wrong type or out of range.
+        """
+        try:
+            return msgspec.convert(values, RunConfig)
+        except msgspec.ValidationError as error:
+            raise ConfigError(f"configuration: {error}") from error
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        return {entry.name: _plain(getattr(value, entry.name)) for entry in fields(value)}
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    return value
+
+
+_FAITHFUL_WORLD = {"sensors": "opennero", "reward": "published"}
+_ARMS: dict[Arm, dict[str, Any]] = {
+    "rtneat": {
+        "world": _FAITHFUL_WORLD,
+        "network": NetworkConfig(candidates=1, evaluation="synchronous"),
+        "learning": NO_LEARNING,
+    },
+    "committed": {
+        "world": _FAITHFUL_WORLD,
+        "network": NetworkConfig(evaluation="synchronous", double_activation=True),
+        "learning": NO_LEARNING,
+    },
+    "described": {
+        "world": {"sensors": "arena", "reward": "published"},
+        "network": NetworkConfig(),
+        "learning": LearningConfig(),
+    },
+    "neatq": {
+        "world": {"sensors": "arena", "reward": "progress"},
+        "network": NetworkConfig(candidates=5),
+        "learning": LearningConfig(
+            step=LearnerConfig(learning_rate=0.01, optimizer="adam"),
+            discount=0.98,
+            trace_decay=0.9,
+            epsilon=0.01,
+            max_hold_ticks=40,
+        ),
+    },
+    "qlearning": {
+        "world": _FAITHFUL_WORLD,
+        "network": NetworkConfig(candidates=1),
+        "learning": LearningConfig(rule="table", step=LearnerConfig(learning_rate=0.8)),
+        "batch_ticks": 1,
+    },
+}
+
+
+def preset(task: str, arm: Arm) -> RunConfig:
+    """The configuration of an arm on a task.
+
+    Args:
+        task: `flag`, `moving`, `wall` or the path of a scenario file. What the file says about
+            sensors and reward is kept; what it leaves out is the arm's.
+        arm: One of the five.
+
+    Raises:
+        ConfigError: If there is no such arm or task.
+        ScenarioError: If the file cannot be used.
+    """
+    if arm not in _ARMS:
+        raise ConfigError(f"arm: expected one of {', '.join(get_args(Arm))}; got {arm!r}")
+    parts = dict(_ARMS[arm])
+    scenario = _scenario(task, TASKS["flag"].replaced(**parts.pop("world")))
+    evolution = RtNEATConfig(minimum_life_ticks=scenario.lifetime_ticks or 1000)
+    if arm == "neatq":
+        evolution = replace(evolution, trial_average="exponential")
+    return RunConfig(
+        task=task,
+        arm=arm,
+        ticks=TASK_TICKS.get(task, 70_000),
+        scenario=scenario,
+        evolution=evolution,
+        **parts,
+    )
+
+
+def _scenario(task: str, defaults: Scenario) -> Scenario:
+    if task in TASKS:
+        return TASKS[task].replaced(sensors=defaults.sensors, reward=defaults.reward)
+    if not Path(task).suffix and not Path(task).exists():
+        raise ConfigError(
+            f"task: expected {', '.join(TASKS)} or the path of a scenario file (.json); got "
+            f"{task!r}"
+        )
+    return load_scenario(task, defaults)
+
+
+__all__ = [
+    "Arm",
+    "ConfigError",
+    "LearningConfig",
+    "NetworkConfig",
+    "RunConfig",
+    "ScenarioError",
+    "preset",
+]
