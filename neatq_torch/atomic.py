@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -11,25 +12,30 @@ def write_atomic(path: Path | str, content: bytes | str) -> None:
     """Write `content` to `path` so that a crash at any moment leaves no broken file.
 
     The content goes to a temporary file in the same folder, is flushed to the disk and then
-    renamed over `path`, which POSIX and Windows do in one step.
+    renamed over `path`, which POSIX and Windows do in one step. The file's mode is that of any
+    new file (the umask's).
 
     Args:
         path: The file to write. Its folder must exist.
         content: The whole content; text is written as UTF-8.
 
     Raises:
-        OSError: If the folder is missing or read-only or the disk is full. `path` is unchanged.
+        OSError: If the folder is missing or read-only or the disk is full; its `filename` is
+            `path`, which is unchanged.
     """
     path = Path(path)
     data = content.encode() if isinstance(content, str) else content
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    # Not tempfile: its files are for their owner's eyes alone, and stay so when renamed.
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
-        with os.fdopen(handle, "wb") as file:
+        with open(temporary, "xb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
         os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+    except BaseException as error:
+        with suppress(OSError):  # the first error is the one to tell
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            error.filename, error.filename2 = str(path), None
         raise

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import io
 import json
+import struct
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,20 @@ from neatq_torch.atomic import write_atomic
 FORMAT = "neatq-checkpoint"
 VERSION = 1
 _ARRAY = "__array__"
+_DAMAGE = (  # what zipfile and numpy raise over bytes that are not as they were written
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    LookupError,
+    MemoryError,
+    NotImplementedError,  # another compression
+    OverflowError,
+    RuntimeError,  # "encrypted"
+    SyntaxError,
+    TypeError,
+    ValueError,
+)
 
 State = dict[str, Any]
 """Nested dicts and lists of JSON values, numpy arrays and tensors."""
@@ -73,33 +89,41 @@ def load_checkpoint(path: Path | str, *, observation_schema: str | None = None) 
     try:
         manifest = json.loads(arrays["manifest"].tobytes())
         found = (manifest["format"], manifest["version"])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
         raise CheckpointError(f"{path}: not a neatq checkpoint (no manifest)") from error
     if found != (FORMAT, VERSION):
         raise CheckpointError(
             f"{path}: format {found[0]!r} version {found[1]!r}; this version of neatq_torch reads "
             f"{FORMAT!r} version {VERSION}"
         )
-    schema = manifest["observation_schema"]
+    try:
+        schema, state = manifest["observation_schema"], _put_arrays(manifest["state"], arrays)
+    except (KeyError, TypeError) as error:
+        raise CheckpointError(f"{path}: altered: its manifest lacks {error}") from error
     if observation_schema is not None and schema != observation_schema:
         raise CheckpointError(
             f"{path}: its genomes read the observations {schema!r}, the environment gives "
             f"{observation_schema!r}; use the sensors that the run was made with"
         )
-    return _put_arrays(manifest["state"], arrays)
+    return state
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     try:
-        with zipfile.ZipFile(path) as archive:
+        # Read once: what is checked is what is used, even if somebody replaces the file meanwhile.
+        content = io.BytesIO(path.read_bytes())
+        with zipfile.ZipFile(content) as archive:
             damaged = archive.testzip()
             if damaged is not None:
                 raise CheckpointError(f"{path}: altered or damaged (member {damaged})")
-        with np.load(path, allow_pickle=False) as members:
+        content.seek(0)
+        with np.load(content, allow_pickle=False) as members:
             return dict(members)
     except FileNotFoundError as error:
         raise CheckpointError(f"{path}: there is no such file") from error
-    except (zipfile.BadZipFile, EOFError, ValueError, NotImplementedError) as error:
+    except IsADirectoryError as error:
+        raise CheckpointError(f"{path}: a folder, not a checkpoint") from error
+    except _DAMAGE as error:
         if isinstance(error, CheckpointError):
             raise
         raise CheckpointError(f"{path}: truncated or altered ({error})") from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -75,9 +75,10 @@ def write_animation(path: Path | str, frames: Sequence[np.ndarray], fps: float =
         raise ValueError(f"fps: expected more than 0 frames a second, got {fps}")
     path = Path(path)
     images = [Image.fromarray(image) for image in frames]
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
+    # Not tempfile: its files are for their owner's eyes alone, and stay so when renamed.
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
-        with os.fdopen(handle, "wb") as file:
+        with open(temporary, "xb") as file:
             images[0].save(
                 file,
                 format="GIF",
@@ -88,7 +89,7 @@ def write_animation(path: Path | str, frames: Sequence[np.ndarray], fps: float =
             )
         os.replace(temporary, path)
     except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         raise
 
 

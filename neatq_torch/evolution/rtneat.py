@@ -17,7 +17,13 @@ from neatq_torch.evolution.reproduction import OPENNERO, Parent, ReproductionCon
 from neatq_torch.evolution.selection import choose_parents, worst
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
 from neatq_torch.evolution.trials import TrialAverage, Trials, relative_fitness
-from neatq_torch.genome import Genome, InnovationLedger, initial_genome
+from neatq_torch.genome import (
+    Genome,
+    InnovationLedger,
+    initial_genome,
+    pack_genomes,
+    unpack_genomes,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,7 +241,7 @@ class RtNEAT:
     def state_dict(self) -> dict[str, Any]:
         """Return the whole state as JSON values and numpy arrays."""
         return {
-            "genomes": [genome.to_dict() for genome in self.genomes],
+            "genomes": pack_genomes(self.genomes),
             "rng": self.rng.bit_generator.state,
             "ledger": self.ledger.state_dict(),
             "speciation": self.speciation.state_dict(),
@@ -250,7 +256,7 @@ class RtNEAT:
     @classmethod
     def from_state(cls, config: RtNEATConfig, state: Mapping[str, Any]) -> Self:
         """Return a population that continues bit for bit where `state_dict` was taken."""
-        genomes = [Genome.from_dict(genome) for genome in state["genomes"]]
+        genomes = unpack_genomes(state["genomes"])
         bits = getattr(np.random, state["rng"]["bit_generator"])()
         bits.state = state["rng"]
         ledger = InnovationLedger.from_state(state["ledger"])

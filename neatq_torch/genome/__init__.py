@@ -21,6 +21,7 @@ from neatq_torch.genome.initial import initial_genome
 from neatq_torch.genome.innovation import InnovationLedger, LinkInnovation, Split
 from neatq_torch.genome.mutation import mutate, mutate_weights
 from neatq_torch.genome.mutation_config import MutationConfig
+from neatq_torch.genome.pack import pack_genomes, unpack_genomes
 from neatq_torch.genome.structural import add_link, add_node, reenable, toggle_enable
 
 __all__ = [
@@ -47,8 +48,10 @@ __all__ = [
     "mutate",
     "mutate_weights",
     "node_levels",
+    "pack_genomes",
     "reaches",
     "reenable",
     "save_genome",
     "toggle_enable",
+    "unpack_genomes",
 ]

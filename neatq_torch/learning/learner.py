@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -154,7 +155,9 @@ class TDLearner:
         self.steps += 1
         self.first_moment.lerp_(gradient, 1 - first)
         self.second_moment.lerp_(gradient.square(), 1 - second)
-        scale = (1 - second**self.steps).sqrt() / (1 - first**self.steps)
+        # Not 1 - beta**steps: torch's pow differs in the last bit with the place in the tensor.
+        unbiased = [-torch.expm1(self.steps * math.log(beta)) for beta in (first, second)]
+        scale = unbiased[1].sqrt() / unbiased[0]
         root = self.second_moment.sqrt() + self._EPSILON
         return scale.unsqueeze(1) * self.first_moment / root
 

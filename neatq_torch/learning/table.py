@@ -65,7 +65,8 @@ class QTable:
 
     def state(self) -> dict[str, np.ndarray]:
         """Visited entries as arrays: keys [entries, bytes] and values [entries, actions]."""
-        keys = np.frombuffer(b"".join(self._entries), np.uint8).reshape(len(self._entries), -1)
+        size = len(next(iter(self._entries), b""))
+        keys = np.frombuffer(b"".join(self._entries), np.uint8).reshape(len(self._entries), size)
         return {"keys": keys, "values": self.values[: len(self._entries)]}
 
     def load_state(self, state: dict[str, np.ndarray]) -> None:
@@ -96,7 +97,8 @@ class TablePolicy(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Add every robot's action to `tensordict`."""
         table = self.table
-        values = table.values[table.rows(tensordict.get("observation").numpy())]
+        rows = table.rows(tensordict.get("observation").numpy())  # may replace table.values
+        values = table.values[rows]
         arenas, robots = table.shape
         noise = np.stack([rng.random((robots, values.shape[-1])) for rng in self.generators])
         best = values == values.max(-1, keepdims=True)

@@ -33,6 +33,18 @@ _FUNCTIONS = {
 }
 
 
+def _product(inputs: Tensor, weight: Tensor) -> Tensor:
+    """[networks, batch, outputs] from [networks, batch, inputs] and [networks, outputs, inputs].
+
+    Every network's matrices are padded to begin on a 64-byte border. Matrix products of the CPU
+    round differently with the alignment of their operands, so a network's outputs would depend on
+    its place in the population.
+    """
+    outputs, inner, outer = weight.shape[1], -weight.shape[2] % 16, -weight.shape[1] % 16
+    weight = nn.functional.pad(weight, (0, inner, 0, outer))
+    return torch.bmm(nn.functional.pad(inputs, (0, inner)), weight.mT)[..., :outputs]
+
+
 class PopulationNetwork(nn.Module):
     """Networks of many genomes, evaluated together as one sparse graph.
 
@@ -169,7 +181,7 @@ class PopulationNetwork(nn.Module):
         networks, batch = inputs.shape[:2]
         dense = self.weight[:, : layout.dense] * self.plan.live
         dense = dense.view(networks, layout.outputs, layout.inputs + 1)
-        sums = torch.bmm(inputs, dense.transpose(1, 2))
+        sums = _product(inputs, dense)
         zero = inputs.new_zeros(networks, max(layout.hidden, 1), batch)
         values = torch.cat(
             [

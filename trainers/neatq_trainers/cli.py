@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import gc
+import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -17,10 +20,20 @@ from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.genome import GenomeError
 from neatq_trainers.config import ConfigError, RunConfig, preset
 from neatq_trainers.report import write_report
-from neatq_trainers.run_folder import RunFolder
+from neatq_trainers.run_folder import (
+    ANIMATION,
+    ARENA,
+    CHAMPION,
+    CHECKPOINT,
+    CURVES,
+    METRICS,
+    RunFolder,
+)
 from neatq_trainers.train import resume, start
 
 Command = TypeVar("Command")
+
+_RESULTS = (METRICS, CURVES, ARENA, ANIMATION, CHAMPION)
 
 _USAGE = """usage: neatq {train,resume} ...
 
@@ -65,14 +78,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments[0] not in commands:
         return _fail(f"expected train or resume, got {arguments[0]!r}; see neatq --help")
     torch.set_num_threads(1)  # small tensors: a second thread only gets in the way
+    gc.freeze()  # the garbage collector need not look through torch again and again
     try:
         commands[arguments[0]](arguments[1:])
     except (ConfigError, ScenarioError, CheckpointError, GenomeError) as error:
         return _fail(str(error))
     except OSError as error:
         return _fail(f"{error.filename or ''}: {error.strerror or error}".lstrip(": "))
-    except KeyboardInterrupt:
-        print("neatq: stopped; go on with: neatq resume", file=sys.stderr)
+    except KeyboardInterrupt as error:
+        print(f"neatq: stopped{error}", file=sys.stderr)
         return 130
     return 0
 
@@ -86,30 +100,50 @@ def _train(arguments: list[str]) -> None:
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     first.add_argument("--task", default="wall")
     first.add_argument("--arm", default="neatq")
-    chosen, _ = first.parse_known_args(arguments)
+    try:
+        chosen, _ = first.parse_known_args(arguments)
+    except argparse.ArgumentError as error:
+        raise ConfigError(str(error)) from error
     default = TrainCommand(config=preset(chosen.task, chosen.arm))
     command = _parse(TrainCommand, "train", arguments, default)
     config = command.config
     name = f"{config.scenario.name}-{config.arm}-seed{config.seed}"
-    _finish(start(config, command.out or Path("runs") / name))
+    out = command.out or Path("runs") / name
+    with _saying_how_to_go_on(out):
+        _finish(start(config, out))
 
 
 def _resume(arguments: list[str]) -> None:
     command = _parse(ResumeCommand, "resume", arguments)
-    _finish(resume(command.folder, command.ticks))
+    with _saying_how_to_go_on(command.folder):
+        _finish(resume(command.folder, command.ticks))
+
+
+@contextmanager
+def _saying_how_to_go_on(out: Path) -> Iterator[None]:
+    """Add to a KeyboardInterrupt what to type to go on with the run in folder `out`."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        begun = (out / CHECKPOINT).is_file()
+        advice = f"; go on with: neatq resume {shlex.quote(str(out))}" if begun else ""
+        raise KeyboardInterrupt(advice) from error
 
 
 def _parse(
     command: type[Command], name: str, arguments: list[str], default: Command | None = None
 ) -> Command:
     """Parse with tyro; values that a configuration refuses become a ConfigError."""
-    given = {} if default is None else {"default": default}
+    name = f"neatq {name}"
     try:
-        return tyro.cli(command, prog=f"neatq {name}", args=arguments, **given)
+        if default is None:
+            return tyro.cli(command, prog=name, args=arguments)
+        return tyro.cli(command, prog=name, args=arguments, default=default)
     except ValueError as error:
         raise ConfigError(str(error)) from error
 
 
 def _finish(folder: RunFolder) -> None:
     write_report(folder)
-    print(f"neatq: {folder.path}: metrics.csv, curves.png, arena.png, team.gif, champion.json")
+    written = [name for name in _RESULTS if (folder.path / name).is_file()]
+    print(f"neatq: {folder.path}: {', '.join(written)}")

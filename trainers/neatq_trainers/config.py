@@ -12,6 +12,7 @@ import msgspec
 
 from neatq_envs.scenario import TASKS, Scenario, ScenarioError, load_scenario
 from neatq_torch.evolution import RtNEATConfig, interval_ticks
+from neatq_torch.genome import ACTIVATIONS
 from neatq_torch.learning import Inheritance, LearnerConfig
 from neatq_torch.network import Evaluation
 
@@ -20,6 +21,10 @@ LoggerName = Literal["csv", "tensorboard"]
 
 TASK_TICKS = {"flag": 40_000, "moving": 60_000, "wall": 70_000}
 """Length of the published runs: one tick of their figures is 100 ticks."""
+
+
+STRIDE_TICKS = 40
+"""Least ticks between two rebuilds of the physics, which cost as much as a few ticks."""
 
 
 class ConfigError(ValueError):
@@ -46,6 +51,11 @@ class NetworkConfig:
         """Check ranges."""
         if self.candidates < 1:
             raise ConfigError(f"network.candidates: expected at least 1, got {self.candidates}")
+        if self.activation not in ACTIVATIONS:
+            raise ConfigError(
+                f"network.activation: expected one of {', '.join(ACTIVATIONS)}; got "
+                f"{self.activation!r}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +105,8 @@ class RunConfig:
     Attributes:
         task: flag, moving, wall, or the path of a scenario file.
         arm: rtneat, committed, described, neatq or qlearning; sets the defaults of what follows.
-        ticks: Length of the run; it ends with the batch in which they are reached.
+        ticks: Length of the run; it ends with the 40 ticks (or the batch, if that is longer) in
+            which they are reached.
         arenas: Independent arenas side by side; arena i is the run with seed + i.
         seed: Of arena 0.
         batch_ticks: Ticks between two updates; evolution replaces robots between batches. None:
@@ -136,6 +147,21 @@ class RunConfig:
             raise ConfigError(
                 f"checkpoint_seconds: expected at least 0, got {self.checkpoint_seconds}"
             )
+        self._check_parts()
+
+    def _check_parts(self) -> None:
+        """Check what one part needs of another."""
+        rule = self.learning.rule
+        if rule != "table" and self.scenario.robots < 2:
+            raise ConfigError(
+                f"scenario.robots: expected at least 2, got {self.scenario.robots}; one robot "
+                "is no population that could evolve (the arm qlearning can do with one)"
+            )
+        if rule == "td" and self.network.candidates < 2:
+            raise ConfigError(
+                f"network.candidates: expected at least 2, got {self.network.candidates}; with "
+                "one there is no Q-value to learn (--learning.rule none goes without)"
+            )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -152,6 +178,11 @@ class RunConfig:
             evolution.minimum_life_ticks, self.scenario.robots, evolution.ineligible_fraction
         )
         return max(1, min(40, math.floor(interval)))
+
+    @property
+    def stride_ticks(self) -> int:
+        """Ticks from one moment at which the run can stop and go on to the next: whole batches."""
+        return self.ticks_per_batch * math.ceil(STRIDE_TICKS / self.ticks_per_batch)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values from which `from_dict` makes an equal configuration."""
@@ -195,13 +226,14 @@ _ARMS: dict[Arm, dict[str, Any]] = {
     "described": {
         "world": {"sensors": "arena", "reward": "published"},
         "network": NetworkConfig(),
-        "learning": LearningConfig(),
+        # 0.9 is the only learning rate in OpenNERO's history.
+        "learning": LearningConfig(step=LearnerConfig(learning_rate=0.9)),
     },
     "neatq": {
         "world": {"sensors": "arena", "reward": "progress"},
         "network": NetworkConfig(candidates=5),
         "learning": LearningConfig(
-            step=LearnerConfig(learning_rate=0.01, optimizer="adam"),
+            step=LearnerConfig(learning_rate=0.03, optimizer="adam"),
             discount=0.98,
             trace_decay=0.9,
             epsilon=0.01,

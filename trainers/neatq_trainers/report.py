@@ -17,7 +17,14 @@ from neatq_envs.torchrl import ArenaEnv
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.build import Run
 from neatq_trainers.metrics import ROW_TICKS
-from neatq_trainers.run_folder import ANIMATION, ARENA, CURVES, METRICS, RunFolder
+from neatq_trainers.run_folder import (
+    ANIMATION,
+    ARENA,
+    CURVES,
+    METRICS,
+    RunFolder,
+    life_ticks,
+)
 
 FRAME_TICKS = 8
 """Ticks between two frames of the animation."""
@@ -26,17 +33,23 @@ Metrics = dict[str, np.ndarray]
 
 
 def write_report(folder: RunFolder) -> None:
-    """Write `curves.png`, `arena.png` and `team.gif` into the folder of a run."""
+    """Write `curves.png`, `arena.png` and `team.gif` into the folder of a run.
+
+    A run without a row of metrics yet has no curves, one without a batch no paths.
+    """
     run = folder.read()
+    life = life_ticks(run.config)
     arena = run.env.arena
     champion = run.populations[0].champion if run.populations else None
-    if len(folder.track) and (metrics := read_metrics(folder.path))["tick"].size:
+    metrics = read_metrics(folder.path)
+    if metrics["tick"].size:
         title = f"{run.config.arm} on {run.config.scenario.name}"
-        _save(draw_curves(metrics, title), folder.path / CURVES)
-        poses = np.concatenate(list(folder.track), 1).swapaxes(0, 1)
+        save_figure(draw_curves(metrics, title), folder.path / CURVES)
+    if folder.track:
+        poses = folder.latest_track(life).swapaxes(0, 1)
         paths = draw_paths(run.config.scenario, poses, arena.flag[0], highlight=champion)
-        _save(paths, folder.path / ARENA)
-    poses, flags = play(run, run.config.scenario.lifetime_ticks or 1000)
+        save_figure(paths, folder.path / ARENA)
+    poses, flags = play(run, life)
     frames = [
         frame(run.config.scenario, pose[:, :2], pose[:, 2], flag, highlight=champion)
         for pose, flag in zip(poses[::FRAME_TICKS], flags[::FRAME_TICKS], strict=True)
@@ -44,7 +57,8 @@ def write_report(folder: RunFolder) -> None:
     write_animation(folder.path / ANIMATION, frames)
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, whole or not at all."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=120)
     write_atomic(path, buffer.getvalue())

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+import zlib
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -29,6 +31,24 @@ class RunFolderError(ConfigError):
     """A folder cannot be used for a run."""
 
 
+def life_ticks(config: RunConfig) -> int:
+    """How much of a run its pictures show: one life, or 1000 ticks where lives have no end."""
+    return config.scenario.lifetime_ticks or 1000
+
+
+def _unbegun(path: Path) -> bool:
+    """Whether `path` holds only what `create` wrote: a run that failed before its first tick."""
+    if not path.is_dir() or {entry.name for entry in path.iterdir()} - {CONFIG, METRICS}:
+        return False
+    metrics = path / METRICS
+    return not metrics.exists() or metrics.read_bytes() == HEADER.encode()
+
+
+def _build(config: RunConfig, state: dict[str, Any]) -> Run:
+    """The run with a saved state; one without a tick begins, as new worlds are drawn then."""
+    return build(config, state if state["tick"] else None)
+
+
 @dataclass(kw_only=True)
 class RunFolder:
     """A run on disk.
@@ -41,12 +61,14 @@ class RunFolder:
         logger: TorchRL's logger beside the CSV, or nothing.
         track: Poses [robots, ticks, 3] of the latest batches of arena 0, one life of them.
         metrics_bytes: Length of `metrics.csv`.
+        metrics_crc: CRC-32 of `metrics.csv`.
     """
 
     path: Path
     logger: RunLogger
     track: deque[np.ndarray] = field(default_factory=deque)
-    metrics_bytes: int = 0
+    metrics_bytes: int = len(HEADER)
+    metrics_crc: int = zlib.crc32(HEADER.encode())
 
     @staticmethod
     def create(path: Path, config: RunConfig) -> RunFolder:
@@ -56,17 +78,16 @@ class RunFolder:
             RunFolderError: If there is something in it.
             OSError: If it cannot be written.
         """
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise RunFolderError(
-                f"{path}: exists and is not empty; choose another --out, or go on with the run "
-                f"in it: neatq resume {path}"
-            )
+        if path.exists() and (not path.is_dir() or any(path.iterdir())) and not _unbegun(path):
+            instead = "choose another --out"
+            if (path / CHECKPOINT).is_file():
+                command = f"neatq resume {shlex.quote(str(path))}"
+                instead += f", or go on with the run in it: {command}"
+            raise RunFolderError(f"{path}: exists and is not empty; {instead}")
         path.mkdir(parents=True, exist_ok=True)
         write_atomic(path / CONFIG, json.dumps(config.to_dict(), indent=2) + "\n")
         write_atomic(path / METRICS, HEADER)
-        return RunFolder(
-            path=path, logger=RunLogger(config.logger, path), metrics_bytes=len(HEADER)
-        )
+        return RunFolder(path=path, logger=RunLogger(config.logger, path))
 
     @staticmethod
     def open(path: Path) -> RunFolder:
@@ -86,22 +107,30 @@ class RunFolder:
             ticks: Another length for the run.
 
         Raises:
+            RunFolderError: If it has more ticks than that already.
             CheckpointError: If the checkpoint is damaged, of another version or does not fit the
                 folder's other files.
         """
         config, state = self._read()
         if ticks is not None:
             config = replace(config, ticks=ticks)
+            if ticks < state["run"]["tick"]:
+                raise RunFolderError(
+                    f"ticks: the run in {self.path} has {state['run']['tick']} already, got "
+                    f"{ticks}; give more, or begin a new run with another --out"
+                )
+        run = _build(config, state["run"])
+        self._cut_metrics(state["metrics_bytes"], state["metrics_crc"])
+        if ticks is not None:
             write_atomic(self.path / CONFIG, json.dumps(config.to_dict(), indent=2) + "\n")
-        self._cut_metrics(state["metrics_bytes"])
         self.logger = RunLogger(config.logger, self.path)
-        self.track = deque([state["track"]])
-        return build(config, state["run"])
+        self.track = deque([state["track"]] if state["track"].size else [])
+        return run
 
     def read(self) -> Run:
         """The run as the checkpoint has it; nothing in the folder changes."""
         config, state = self._read()
-        return build(config, state["run"])
+        return _build(config, state["run"])
 
     def _read(self) -> tuple[RunConfig, dict[str, Any]]:
         path = self.path / CONFIG
@@ -113,7 +142,12 @@ class RunFolder:
             raise CheckpointError(f"{path}: altered or damaged: {error}") from error
         schema = SCHEMAS[config.scenario.sensors].name
         state = load_checkpoint(self.path / CHECKPOINT, observation_schema=schema)
-        made_with = RunConfig.from_dict(state["run"]["config"])
+        try:
+            made_with = RunConfig.from_dict(state["run"]["config"])
+        except (KeyError, TypeError, ConfigError) as error:
+            raise CheckpointError(
+                f"{self.path / CHECKPOINT}: not a run of this version of neatq ({error})"
+            ) from error
         if replace(made_with, ticks=config.ticks) != config:
             raise CheckpointError(
                 f"{path}: not the configuration that the run was made with; restore the file, or "
@@ -121,37 +155,54 @@ class RunFolder:
             )
         return config, state
 
-    def _cut_metrics(self, length: int) -> None:
+    def _cut_metrics(self, length: int, crc: int) -> None:
         path = self.path / METRICS
-        content = path.read_bytes() if path.is_file() else b""
-        if len(content) < length:
+        content = path.read_bytes()[:length] if path.is_file() else b""
+        if len(content) < length or zlib.crc32(content) != crc:
             raise CheckpointError(
-                f"{path}: {len(content)} bytes, but the checkpoint was made when it had {length}; "
-                "it was altered"
+                f"{path}: altered: its first {length} bytes are not those that it had when the "
+                "checkpoint was made; restore the file, or begin a new run with another --out"
             )
-        write_atomic(path, content[:length])
-        self.metrics_bytes = length
+        write_atomic(path, content)
+        self.metrics_bytes, self.metrics_crc = length, crc
 
     def record(self, run: Run, batch: TensorDictBase, rows: Sequence[Row]) -> None:
         """Add a batch: its rows to the metrics, its poses to the track."""
         self.track.append(batch.get("pose")[0].numpy())
-        life = run.config.scenario.lifetime_ticks or 1000
+        life = life_ticks(run.config)
         while sum(poses.shape[1] for poses in self.track) - self.track[0].shape[1] >= life:
             self.track.popleft()
         if rows:
-            text = "".join(row.csv() for row in rows).encode()
-            with (self.path / METRICS).open("ab") as file:
-                file.write(text)
-            self.metrics_bytes += len(text)
+            self._append("".join(row.csv() for row in rows).encode())
             self.logger.log(rows)
+
+    def _append(self, text: bytes) -> None:
+        path = self.path / METRICS
+        try:
+            with path.open("ab") as file:
+                file.write(text)
+        except OSError as error:
+            error.filename = str(path)  # a full disk does not say which file
+            raise
+        self.metrics_bytes += len(text)
+        self.metrics_crc = zlib.crc32(text, self.metrics_crc)
+
+    def latest_track(self, life: int) -> np.ndarray:
+        """Poses [robots, ticks, 3] of the latest `life` ticks, float32, or of as many as there are.
+
+        The same whether the run was interrupted or not.
+        """
+        if not self.track:
+            return np.zeros((0, 0, 3), np.float32)
+        return np.concatenate(list(self.track), 1)[:, -life:].astype(np.float32)
 
     def checkpoint(self, run: Run) -> None:
         """Write the checkpoint and the champion of arena 0."""
-        track = np.concatenate(list(self.track), 1) if self.track else np.zeros((0, 0, 3))
         state = {
             "run": run.state(),
             "metrics_bytes": self.metrics_bytes,
-            "track": track.astype(np.float32),
+            "metrics_crc": self.metrics_crc,
+            "track": self.latest_track(life_ticks(run.config)),
         }
         schema = run.env.arena.schema.name
         save_checkpoint(self.path / CHECKPOINT, state, observation_schema=schema)

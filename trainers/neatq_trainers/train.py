@@ -22,8 +22,8 @@ from neatq_trainers.run_folder import RunFolder
 
 def start(config: RunConfig, out: Path) -> RunFolder:
     """Make the folder `out` and train in it from the beginning."""
+    run = build(config)  # first: what cannot be built leaves no folder
     folder = RunFolder.create(out, config)
-    run = build(config)
     folder.checkpoint(run)
     train(run, folder)
     return folder
@@ -40,8 +40,7 @@ def resume(out: Path, ticks: int | None = None) -> RunFolder:
 def train(run: Run, folder: RunFolder) -> None:
     """Train until the run has the ticks of its configuration, or until Ctrl-C.
 
-    Everything that a batch [arenas, robots, ticks] leads to happens here, in order. After each
-    batch the run is in a state from which a checkpoint goes on exactly.
+    Everything that a batch [arenas, robots, ticks] leads to happens here, in order.
     """
     config = run.config
     collector = make_collector(run)
@@ -57,9 +56,11 @@ def train(run: Run, folder: RunFolder) -> None:
             newborn = breed(run)  # write back, replace
             if newborn.any():
                 collector.reset(index=newborn)  # a new life for a new genome
-            run.env.rebuild()
             folder.record(run, batch, new_rows)
             progress.show(run.tick, new_rows)
+            if run.tick % config.stride_ticks:
+                continue
+            run.env.rebuild()  # only from here on does a checkpoint go on exactly
             done = run.tick >= config.ticks or stop.requested
             if done or time.monotonic() - last_checkpoint >= config.checkpoint_seconds:
                 folder.checkpoint(run)
