@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from neatq_torch.atomic import write_atomic
@@ -152,8 +151,3 @@ def _put_arrays(value: Any, arrays: dict[str, np.ndarray]) -> Any:
     if isinstance(value, list):
         return [_put_arrays(item, arrays) for item in value]
     return value
-
-
-def to_tensors(arrays: dict[str, np.ndarray], device: torch.device) -> dict[str, Tensor]:
-    """Arrays of a loaded state as tensors on `device`."""
-    return {name: torch.from_numpy(array).to(device) for name, array in arrays.items()}

@@ -22,15 +22,22 @@ def test_the_seven_steps() -> None:
     policy = nl.CandidatePolicy(network, heads, nl.EpsilonGreedy((1, 6), seeds=[0]))
     loss = nl.CandidateTDLoss(nl.CandidateValue(network, heads), normalize_return=True)
     learner = nl.TDLearner(network, loss, nl.LearnerConfig(learning_rate=0.1))
-    options = {"auto_register_policy_transforms": False, "use_buffers": False}
+    collector = Collector(
+        env,
+        policy,
+        frames_per_batch=6 * 60,
+        total_frames=6 * 60,
+        auto_register_policy_transforms=False,
+        use_buffers=False,
+    )
     # 2 act: the collector runs the robots in the arena
-    for batch in Collector(env, policy, frames_per_batch=6 * 60, total_frames=6 * 60, **options):
+    for batch in collector:
         assert batch.shape == (1, 6, 60)
         before = population.genomes[0].link_weight
         assert learner.update(batch).shape == (1, 6)  # 3 learn: one step of each own network
         nl.write_back(network, [population])  # 4 write back
         assert (population.genomes[0].link_weight != before).any()
-        population.record(batch["next", "reward_vector"][0])  # 5 fitness and age
+        population.record(batch.get(("next", "reward_vector"))[0])  # 5 fitness and age
         newborn = torch.zeros(1, 6, dtype=torch.bool)
         for replacement in population.replace():  # 6 rtNEAT replaces the worst
             network.replace(replacement.slot, replacement.genome)  # 7 compile again

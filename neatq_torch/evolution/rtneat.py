@@ -33,7 +33,8 @@ class RtNEATConfig:
     Attributes:
         reproduction: how offspring come about.
         species: how genomes are sorted into species.
-        minimum_life_ticks: age at which a robot can be judged, and length of a trial.
+        minimum_life_ticks: age of a genome, over all lives of its robot, at which it can be judged;
+            also the length of a trial.
         ineligible_fraction: share of the population that is too young to be judged, in (0, 1].
         reward_weights: weight of each reward dimension in the fitness.
         trial_average: how trials are averaged, see `Trials`.

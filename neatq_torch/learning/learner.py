@@ -77,8 +77,10 @@ class LearnerConfig:
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        if not self.learning_rate >= 0:
-            raise ValueError(f"learning_rate: expected at least 0, got {self.learning_rate}")
+        if not 0 <= self.learning_rate < math.inf:
+            raise ValueError(
+                f"learning_rate: expected a finite number of at least 0, got {self.learning_rate}"
+            )
         if self.optimizer not in ("sgd", "adam"):
             raise ValueError(f"optimizer: expected 'sgd' or 'adam', got {self.optimizer!r}")
         if self.target_tau is not None and not 0 < self.target_tau <= 1:

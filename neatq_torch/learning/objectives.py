@@ -81,7 +81,11 @@ class CandidateTDLoss(LossModule):
         self.delay_value = delay_value
         self.normalize_return = normalize_return
         self.reduction = reduction
-        self.convert_to_functional(value_network, "value_network", create_target_params=delay_value)
+        self.convert_to_functional(
+            value_network,  # pyright: ignore[reportArgumentType]
+            "value_network",
+            create_target_params=delay_value,
+        )
         self.register_buffer("discount", discount, persistent=False)
 
     @property
@@ -139,8 +143,10 @@ class CandidateTDLoss(LossModule):
             missing = reward.ndim - self.discount.ndim
             estimator.gamma = self.discount[(...,) + (None,) * missing].expand_as(reward)
         if self.normalize_return:
+            gamma = estimator.gamma
+            assert isinstance(gamma, Tensor)
             # `data` is a shallow copy; its nested tensordict is not, and must be left alone.
             following = data.get("next").clone(False)
-            following.set(self.tensor_keys.reward, reward * (1 - estimator.gamma))
+            following.set(self.tensor_keys.reward, reward * (1 - gamma))
             data = data.copy().set("next", following)
         return estimator.value_estimate(data, target_params=self.target_value_network_params)

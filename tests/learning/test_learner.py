@@ -201,7 +201,7 @@ def test_a_robot_learns_which_of_two_candidates_is_better() -> None:
 
 
 def test_bad_settings_are_named() -> None:
-    with pytest.raises(ValueError, match="learning_rate: expected at least 0, got nan"):
+    with pytest.raises(ValueError, match="learning_rate: expected a finite number"):
         LearnerConfig(learning_rate=float("nan"))
     with pytest.raises(ValueError, match="target_tau: expected within"):
         LearnerConfig(target_tau=0.0)

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from neatq_trainers.reproduction import SPECIFICATION, draw, published_curves, summary, table
+from neatq_trainers.reproduction import (
+    SPECIFICATION,
+    Curves,
+    draw,
+    published_curves,
+    summary,
+    table,
+)
 
 
 def test_quarters_and_last_tenth_by_hand() -> None:
@@ -15,7 +22,7 @@ def test_quarters_and_last_tenth_by_hand() -> None:
 
 def test_the_difference_is_in_standard_errors_of_both() -> None:
     # Two seeds at 60 and 64: mean 62, standard error 2; the specification has 56.3 and 7.5 / 8^.5.
-    curves = {("flag", "rtneat"): np.array([[60.0] * 40, [64.0] * 40])}
+    curves: Curves = {("flag", "rtneat"): np.array([[60.0] * 40, [64.0] * 40])}
     ours, specification, apart = table(curves).splitlines()[2:]
     assert "| 2 | 62.0 ± 2.0 |" in ours
     assert "| 8 | 116 | 81 | 69 | 58 | 56.3 |" in specification

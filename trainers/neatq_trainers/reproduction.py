@@ -43,6 +43,8 @@ SPECIFICATION: dict[tuple[str, Arm], Specification] = {
     ("wall", "committed"): Specification(8, (248, 220, 204, 190, 187.9), 17.3),
     ("wall", "qlearning"): Specification(1, (268, 268, 268, 266, 266), None),
 }
+Curves = dict[tuple[str, Arm], np.ndarray]
+"""Mean distance of each team at each row [seeds, rows], of each task and arm."""
 PUBLISHED = {"rtneat": "rtneat", "committed": "rtneat+q", "qlearning": "qlearning"}
 
 
@@ -67,7 +69,7 @@ def main() -> None:
     """Run what is missing, then write `reproduction.md` and `reproduction.png`."""
     options = tyro.cli(Options, prog="python -m neatq_trainers.reproduction")
     torch.set_num_threads(1)
-    curves = {}
+    curves: Curves = {}
     for task, arm in SPECIFICATION:
         folder = options.out / f"{task}-{arm}"
         if task in options.tasks and arm in options.arms:
@@ -96,7 +98,7 @@ def summary(curve: np.ndarray) -> np.ndarray:
     return np.stack([*quarters, curve[:, -rows // 10 :].mean(1)], 1)
 
 
-def table(curves: dict[tuple[str, Arm], np.ndarray]) -> str:
+def table(curves: Curves) -> str:
     """A Markdown table: ours with standard errors, the specification, and their distance.
 
     The distance is in standard errors of the difference; the specification gives the spread over
@@ -131,7 +133,7 @@ def published_curves() -> dict[tuple[str, str], np.ndarray]:
     return {key: np.array(value) for key, value in points.items()}
 
 
-def draw(curves: dict[tuple[str, Arm], np.ndarray]) -> Figure:
+def draw(curves: Curves) -> Figure:
     """One panel for each task and arm: our seeds, their mean, and the published run."""
     tasks = list(dict.fromkeys(task for task, _ in curves))
     arms = list(dict.fromkeys(arm for _, arm in curves))
