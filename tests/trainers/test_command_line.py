@@ -85,8 +85,16 @@ def test_bad_input_is_answered_in_one_line(neatq: Say, arguments: list[str], pat
         ("scenario.robots", "0", "robots: expected a whole number of at least 1, got 0"),
         ("scenario.lifetime-ticks", "-3", "lifetime_ticks: expected .* at least 0, got -3"),
         ("scenario.max-speed", "nan", "max_speed: expected a finite number, got nan"),
-        ("learning.step.learning-rate", "nan", "learning_rate: expected at least 0, got nan"),
-        ("learning.step.learning-rate", "-1", "learning_rate: expected at least 0, got -1"),
+        (
+            "learning.step.learning-rate",
+            "nan",
+            "learning_rate: expected a finite number of at least 0, got nan",
+        ),
+        (
+            "learning.step.learning-rate",
+            "-1",
+            "learning_rate: expected a finite number of at least 0, got -1",
+        ),
         ("learning.epsilon", "2", r"epsilon: expected a number in \[0, 1\], got 2"),
         ("network.candidates", "0", "candidates: expected at least 1, got 0"),
         ("network.activation", "cubic", "activation: expected one of identity, .* got 'cubic'"),
