@@ -135,6 +135,7 @@ def test_the_wheel_holds_every_file_of_the_packages(wheel_names: list[str]) -> N
     wanted = {
         path.relative_to(ROOT / Path(package).parent).as_posix()
         for package in PACKAGES
-        for path in (ROOT / package).rglob("*.py")
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
     }
     assert wanted <= set(wheel_names)

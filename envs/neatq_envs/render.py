@@ -94,7 +94,12 @@ def write_animation(path: Path | str, frames: Sequence[np.ndarray], fps: float =
 
 
 def draw_paths(
-    scenario: Scenario, poses: np.ndarray, flag: np.ndarray, *, highlight: int | None = None
+    scenario: Scenario,
+    poses: np.ndarray,
+    flag: np.ndarray,
+    *,
+    highlight: int | None = None,
+    highlight_label: str = "highlighted robot",
 ) -> Figure:
     """Draw the way each robot took in its last life.
 
@@ -103,6 +108,7 @@ def draw_paths(
         poses: [ticks, robots, 3 or 2]: x, y (units), heading (rad).
         flag: [2] in units, at the end.
         highlight: a robot whose path is drawn thick and on top, such as the champion.
+        highlight_label: what the legend calls it.
     """
     figure = Figure(figsize=(7.4, 6.0 * scenario.height / scenario.width + 1.0), layout="tight")
     axes = figure.add_subplot()
@@ -123,10 +129,10 @@ def draw_paths(
         way = _last_life(scenario, poses[:, highlight, :2])
         axes.plot(way[:, 0], way[:, 1], color=_unit(CHAMPION), lw=2.5, zorder=5)
         axes.plot(*way[-1], "o", color=_unit(CHAMPION), mec="black", ms=7, zorder=6)
-        handles.append(Line2D([], [], color=_unit(CHAMPION), lw=2.5, label="highlighted robot"))
+        handles.append(Line2D([], [], color=_unit(CHAMPION), lw=2.5, label=highlight_label))
     axes.plot(flag[0], flag[1], "*", color=_unit(FLAG), mec="black", ms=16, zorder=7)
     handles.append(Line2D([], [], marker="*", ls="", color=_unit(FLAG), ms=12, label="flag"))
-    axes.set_title(f'Paths of {poses.shape[1]} robots, task "{scenario.name}"')
+    axes.set_title(f'Last life of {poses.shape[1]} robots, task "{scenario.name}"')
     below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "frameon": False}
     axes.legend(handles=handles, ncols=3, fontsize=9, **below)
     return figure

@@ -47,7 +47,13 @@ def write_report(folder: RunFolder) -> None:
         save_figure(draw_curves(metrics, title), folder.path / CURVES)
     if folder.track:
         poses = folder.latest_track(life).swapaxes(0, 1)
-        paths = draw_paths(run.config.scenario, poses, arena.flag[0], highlight=champion)
+        paths = draw_paths(
+            run.config.scenario,
+            poses,
+            arena.flag[0],
+            highlight=champion,
+            highlight_label="champion",
+        )
         save_figure(paths, folder.path / ARENA)
     poses, flags = play(run, life)
     frames = [
