@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import secrets
+import io
 from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -64,33 +62,17 @@ def frame(
     return canvas
 
 
-def write_animation(path: Path | str, frames: Sequence[np.ndarray], fps: float = 20.0) -> None:
-    """Write frames, uint8 [height, width, 3] each, as an endless GIF.
-
-    The file appears as a whole or not at all: it is written beside its place and moved there.
-    """
+def animation(frames: Sequence[np.ndarray], fps: float = 20.0) -> bytes:
+    """Return frames, uint8 [height, width, 3] each, as the content of an endless GIF file."""
     if not len(frames):
         raise ValueError("frames: expected at least one, got none")
     if not fps > 0:
         raise ValueError(f"fps: expected more than 0 frames a second, got {fps}")
-    path = Path(path)
-    images = [Image.fromarray(image) for image in frames]
-    # Not tempfile: its files are for their owner's eyes alone, and stay so when renamed.
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        with open(temporary, "xb") as file:
-            images[0].save(
-                file,
-                format="GIF",
-                save_all=True,
-                append_images=images[1:],
-                duration=max(20, round(1000 / fps)),  # viewers slow down shorter frames
-                loop=0,
-            )
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    first, *others = [Image.fromarray(image) for image in frames]
+    file = io.BytesIO()
+    duration = max(20, round(1000 / fps))  # viewers slow down shorter frames
+    first.save(file, format="GIF", save_all=True, append_images=others, duration=duration, loop=0)
+    return file.getvalue()
 
 
 def draw_paths(

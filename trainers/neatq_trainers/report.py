@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from neatq_envs.render import draw_paths, frame, write_animation
+from neatq_envs.render import animation, draw_paths, frame
 from neatq_envs.torchrl import ArenaEnv
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.build import Run
@@ -60,7 +60,7 @@ def write_report(folder: RunFolder) -> None:
         frame(run.config.scenario, pose[:, :2], pose[:, 2], flag, highlight=champion)
         for pose, flag in zip(poses[::FRAME_TICKS], flags[::FRAME_TICKS], strict=True)
     ]
-    write_animation(folder.path / ANIMATION, frames)
+    write_atomic(folder.path / ANIMATION, animation(frames))
 
 
 def save_figure(figure: Figure, path: Path) -> None:
