@@ -83,6 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         commands[arguments[0]](arguments[1:])
     except (ConfigError, ScenarioError, CheckpointError, GenomeError) as error:
         return _fail(str(error))
+    except BrokenPipeError:  # whoever read the output has read enough
+        return 0
     except OSError as error:
         return _fail(f"{error.filename or ''}: {error.strerror or error}".lstrip(": "))
     except KeyboardInterrupt as error:
