@@ -126,37 +126,40 @@ class TablePolicy(TensorDictModuleBase):
 
 
 class TableLearner:
-    """Watkins' Q-learning on the tables: Q += alpha (r + gamma max Q' - Q).
+    """Watkins' Q-learning on the tables: Q += alpha (r + gamma max Q' - Q), as OpenNERO had it.
 
-    Tables survive the end of a life, as in OpenNERO. With batches of one tick the update is
-    on-line. The environment's rewards in [0, 1] are moved to [-1, 0]: OpenNERO's were negative, so
-    that entries never visited, which are 0, look best.
+    Its rewards were those of the place where an action began, not where it led, so the reward of
+    each tick is used one tick later here. They were negative, so that entries never visited, which
+    are 0, look best: the environment's rewards in [0, 1] are moved to [-1, 0]. Tables survive the
+    end of a life. With batches of one tick the update is on-line.
     """
 
     def __init__(self, table: QTable) -> None:
         self.table = table
+        self._reward = np.zeros(table.shape)
 
     def update(self, batch: TensorDictBase) -> Tensor:
         """Learn from transitions [*shape, ticks]; returns the mean squared TD error [*shape]."""
         table, errors = self.table, []
-        rewards = batch.get(("next", "reward")).squeeze(-1).double().numpy() - 1
-        for tick in range(rewards.shape[-1]):
+        for tick in range(batch.shape[-1]):
             now = table.rows(batch.get("observation")[:, :, tick].numpy())
             following = table.rows(batch.get(("next", "observation"))[:, :, tick].numpy())
             action = table.index(batch.get("action")[:, :, tick].numpy()).ravel()
-            target = rewards[..., tick].ravel() + table.discount * table.values[following].max(-1)
+            target = self._reward.ravel() + table.discount * table.values[following].max(-1)
             error = target - table.values[now, action]
             table.values[now, action] += table.learning_rate * error
             errors.append(error**2)
+            self._reward = batch.get(("next", "reward"))[:, :, tick, 0].double().numpy() - 1
         return torch.from_numpy(np.mean(errors, 0).reshape(table.shape))
 
     def reset(self, newborn: Tensor) -> None:
         """There are no newborns without evolution."""
 
     def state(self) -> dict[str, np.ndarray]:
-        """The tables."""
-        return self.table.state()
+        """The tables and the latest rewards."""
+        return {**self.table.state(), "reward": self._reward}
 
     def load_state(self, state: dict[str, np.ndarray]) -> None:
         """Go on from `state`."""
         self.table.load_state(state)
+        self._reward = state["reward"]
