@@ -61,6 +61,7 @@ NEAT_2002 = ReproductionConfig(
         weight_mutation_power=2.5,
         max_link_weight=None,
         recurrent_link_prob=0.0,
+        forward_from_outputs=False,
         split_weight_scale=1.0,
         hidden_activation="steep_sigmoid",
     ),

@@ -31,6 +31,8 @@ class MutationConfig:
         new_link_weight_power: weights of new links are U(-power, power).
         recurrent_link_prob: share of link mutations that must find a recurrent link.
         recurrent_loop_prob: share of those tries that look at a link from a node to itself.
+        forward_from_outputs: whether a new link may leave an output and be forward; in OpenNERO
+            it may, by a wrong comparison in its code.
         new_link_tries: pairs of nodes looked at before a link mutation gives up.
         split_tries: links looked at before a node mutation gives up.
         split_weight_scale: weight behind a new node, as a share of the split link's weight.
@@ -49,6 +51,7 @@ class MutationConfig:
     new_link_weight_power: float = 1.0
     recurrent_link_prob: float = 0.15
     recurrent_loop_prob: float = 0.5
+    forward_from_outputs: bool = True
     new_link_tries: int = 20
     split_tries: int = 20
     split_weight_scale: float = 0.3

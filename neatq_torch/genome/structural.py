@@ -57,8 +57,9 @@ def add_link(
 ) -> Genome:
     """Return the genome with one new link, or the genome itself if no place was found.
 
-    A link is recurrent if it leaves an output or if its target already reaches its source by
-    forward links, enabled or not; so the forward links never form a cycle.
+    A link is recurrent if its target already reaches its source by forward links, enabled or
+    not, so that the forward links never form a cycle; or if it leaves an output, unless
+    `forward_from_outputs`.
     """
     recurrent = bool(rng.random() < config.recurrent_link_prob)
     pair = _free_pair(genome, recurrent, config, rng)
@@ -92,13 +93,15 @@ def _free_pair(
     keys = (genome.source_index * nodes + genome.target_index)[same_kind]
     free = ~np.isin(sources * nodes + targets, keys)
     for source, target in zip(sources[free].tolist(), targets[free].tolist(), strict=True):
-        if _would_recur(genome, source, target) == recurrent:
+        if _would_recur(genome, config, source, target) == recurrent:
             return source, target
     return None
 
 
-def _would_recur(genome: Genome, source: int, target: int) -> bool:
-    if source == target or genome.node_kind[source] == NodeKind.OUTPUT:
+def _would_recur(genome: Genome, config: MutationConfig, source: int, target: int) -> bool:
+    if source == target:
+        return True
+    if genome.node_kind[source] == NodeKind.OUTPUT and not config.forward_from_outputs:
         return True
     if genome.node_kind[source] <= NodeKind.BIAS:
         return False

@@ -130,14 +130,14 @@ def test_two_genomes_that_split_the_same_link_share_the_node(small: Genome) -> N
 def test_a_genome_without_free_place_stays_as_it_is() -> None:
     rng = np.random.default_rng(0)
     genome = initial_genome(3, 2, rng=rng)
-    config = MutationConfig(recurrent_link_prob=0.0, new_link_tries=500)
+    config = MutationConfig(recurrent_link_prob=0.0, new_link_tries=500, forward_from_outputs=False)
     assert add_link(genome, config, InnovationLedger.for_genomes([genome]), rng) is genome
 
 
 def test_links_out_of_outputs_are_recurrent_and_half_of_the_tries_look_at_loops() -> None:
     rng = np.random.default_rng(0)
     genome = initial_genome(1, 20, rng=rng)
-    config = MutationConfig(recurrent_link_prob=1.0, new_link_tries=100)
+    config = MutationConfig(recurrent_link_prob=1.0, new_link_tries=100, forward_from_outputs=False)
     ledger = InnovationLedger.for_genomes([genome])
     children = [add_link(genome, config, ledger, rng) for _ in range(600)]
     assert all(child.link_recurrent[-1] for child in children)
@@ -146,6 +146,17 @@ def test_links_out_of_outputs_are_recurrent_and_half_of_the_tries_look_at_loops(
     # Of 22 nodes the 20 outputs can be the source: a loop by chance in 1 of 22 other tries.
     by_kind = 0.5, 0.5 * 20 / 22
     assert loops == pytest.approx((by_kind[0] + by_kind[1] / 20) / sum(by_kind), abs=0.05)
+
+
+def test_outputs_may_feed_outputs_forward_as_in_opennero_but_never_in_a_circle() -> None:
+    rng = np.random.default_rng(0)
+    genome = initial_genome(1, 3, rng=rng)
+    ledger = InnovationLedger.for_genomes([genome])
+    config = MutationConfig(recurrent_link_prob=0.0, new_link_tries=200)
+    for links in range(7, 10):  # three outputs have room for three forward links
+        genome = add_link(genome, config, ledger, rng)
+        assert genome.link_weight.size == links and not genome.link_recurrent.any()
+    assert add_link(genome, config, ledger, rng) is genome
 
 
 def test_a_link_against_the_stream_is_recurrent(make_genome: Callable[..., Genome]) -> None:
