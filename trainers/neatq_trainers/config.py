@@ -233,9 +233,8 @@ _ARMS: dict[Arm, dict[str, Any]] = {
         "world": {"sensors": "arena", "reward": "progress"},
         "network": NetworkConfig(candidates=5),
         "learning": LearningConfig(
-            step=LearnerConfig(learning_rate=0.03, optimizer="adam"),
-            discount=0.98,
-            trace_decay=0.9,
+            step=LearnerConfig(learning_rate=0.01, optimizer="adam"),
+            discount=0.9,
             epsilon=0.01,
             max_hold_ticks=40,
         ),

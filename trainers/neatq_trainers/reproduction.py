@@ -20,7 +20,7 @@ import tyro
 from matplotlib.figure import Figure
 
 from neatq_torch.atomic import write_atomic
-from neatq_trainers.config import Arm, preset
+from neatq_trainers.config import TASK_TICKS, Arm, preset
 from neatq_trainers.metrics import ROW_TICKS
 from neatq_trainers.report import read_metrics, save_figure
 from neatq_trainers.run_folder import CHECKPOINT
@@ -77,8 +77,10 @@ def main() -> None:
                 resume(folder)
             else:
                 start(replace(preset(task, arm), arenas=options.seeds), folder)
-        if folder.exists():
-            curves[task, arm] = mean_distances(folder)
+        if (folder / CHECKPOINT).exists():
+            curve = mean_distances(folder)
+            if curve.shape[1] == TASK_TICKS[task] // ROW_TICKS:  # else another process is at it
+                curves[task, arm] = curve
     write_atomic(options.out / "reproduction.md", table(curves))
     save_figure(draw(curves), options.out / "reproduction.png")
     print(table(curves))
