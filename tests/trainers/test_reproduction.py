@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from neatq_trainers.reproduction import (
     SPECIFICATION,
@@ -20,14 +19,13 @@ def test_quarters_and_last_tenth_by_hand() -> None:
     assert summary(curve).tolist() == [[4.5, 14.5, 24.5, 34.5, 37.5]]
 
 
-def test_the_difference_is_in_standard_errors_of_both() -> None:
-    # Two seeds at 60 and 64: mean 62, standard error 2; the specification has 56.3 and 7.5 / 8^.5.
+def test_the_difference_stands_beside_what_is_allowed() -> None:
+    # Two seeds at 60 and 64: mean 62, standard error 2; the specification has 56.3 and 7.5.
     curves: Curves = {("flag", "rtneat"): np.array([[60.0] * 40, [64.0] * 40])}
     ours, specification, apart = table(curves).splitlines()[2:]
     assert "| 2 | 62.0 ± 2.0 |" in ours
     assert "| 8 | 116 | 81 | 69 | 58 | 56.3 |" in specification
-    expected = (62 - 56.3) / np.hypot(2.0, 7.5 / np.sqrt(8))
-    assert float(apart.split("|")[-2]) == pytest.approx(expected, abs=0.05)
+    assert apart.endswith("| +5.7 (11.5) |")
 
 
 def test_every_panel_has_a_published_curve_of_the_same_length() -> None:

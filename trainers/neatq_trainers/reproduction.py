@@ -101,10 +101,11 @@ def summary(curve: np.ndarray) -> np.ndarray:
 
 
 def table(curves: Curves) -> str:
-    """A Markdown table: ours with standard errors, the specification, and their distance.
+    """A Markdown table: ours with standard errors, the specification, and the difference.
 
-    The distance is in standard errors of the difference; the specification gives the spread over
-    seeds of the last tenth only, which stands for all five columns.
+    Beside each difference stands what is allowed: two of our standard errors, widened by the
+    specification's own spread over seeds. That is known for the last tenth only, and stands for
+    all five columns.
     """
     lines = [
         "| task | arm | seeds | quarter 1 | quarter 2 | quarter 3 | quarter 4 | last tenth |",
@@ -118,9 +119,9 @@ def table(curves: Curves) -> str:
         cells = [f"{value:g}" for value in spec.means]
         lines.append(f"| | specification | {spec.seeds} | {' | '.join(cells)} |")
         if spec.spread is not None:
-            apart = (mean - spec.means) / np.hypot(error, spec.spread / np.sqrt(spec.seeds))
-            cells = [f"{value:+.1f}" for value in apart]
-            lines.append(f"| | difference in standard errors | | {' | '.join(cells)} |")
+            both = zip(mean - spec.means, 2 * error + spec.spread, strict=True)
+            cells = [f"{apart:+.1f} ({allowed:.1f})" for apart, allowed in both]
+            lines.append(f"| | difference (allowed) | | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
