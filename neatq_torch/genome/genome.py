@@ -188,9 +188,23 @@ def save_genome(genome: Genome, path: str | Path) -> None:
     write_atomic(Path(path), genome.to_json().encode())
 
 
-def load_genome(path: str | Path) -> Genome:
-    """Return the genome in a file; GenomeError names the file and what is wrong in it."""
+def load_genome(path: str | Path, *, observation_schema: str | None = None) -> Genome:
+    """Return the genome in a file.
+
+    Args:
+        path: the file.
+        observation_schema: name of the observations that the caller has for it; None accepts any.
+
+    Raises:
+        GenomeError: naming the file and what is wrong in it, or that it reads other observations.
+    """
     try:
-        return Genome.from_json(Path(path).read_bytes())
+        genome = Genome.from_json(Path(path).read_bytes())
     except GenomeError as error:
         raise GenomeError(f"{path}: {error}") from error
+    if observation_schema not in (None, genome.observation_schema):
+        raise GenomeError(
+            f"{path}: the genome reads the observations {genome.observation_schema!r}, not "
+            f"{observation_schema!r}; use the sensors that it was evolved with."
+        )
+    return genome

@@ -72,7 +72,7 @@ class PopulationNetwork(nn.Module):
         genome_id: Whose network stands in each place [*shape].
 
     Raises:
-        ValueError: If genomes disagree in inputs or outputs, or do not fill `shape`.
+        ValueError: If genomes disagree in observations, inputs or outputs, or do not fill `shape`.
     """
 
     weight: nn.Parameter
@@ -240,7 +240,7 @@ class PopulationNetwork(nn.Module):
         is laid out again with more room (and `weight` may get more columns, all of them zero).
 
         Raises:
-            ValueError: If its inputs or outputs differ from the population's.
+            ValueError: If its observations, inputs or outputs differ from the population's.
         """
         plan = compile_genome(genome, self.evaluation)
         self._check_interface(genome, plan)
@@ -297,6 +297,13 @@ class PopulationNetwork(nn.Module):
                 f"genome {genome.genome_id} has {plan.need.inputs} inputs and "
                 f"{plan.need.outputs} outputs; the population's networks have {expected[0]} and "
                 f"{expected[1]}"
+            )
+
+        schema = self._genomes[0].observation_schema
+        if genome.observation_schema != schema:
+            raise ValueError(
+                f"genome {genome.genome_id} reads the observations "
+                f"{genome.observation_schema!r}; the population's networks read {schema!r}"
             )
 
     def _check_observation(self, observation: Tensor) -> None:

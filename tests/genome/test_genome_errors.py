@@ -3,11 +3,20 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from neatq_torch.genome import Genome, GenomeError
+from neatq_torch.genome import (
+    Genome,
+    GenomeError,
+    identical,
+    initial_genome,
+    load_genome,
+    save_genome,
+)
 
 Edit = Callable[[dict[str, Any]], object]
 
@@ -163,3 +172,12 @@ def test_a_kind_or_activation_out_of_range_is_refused(make_genome: Callable[...,
         make_genome([], node_kind=[0, 4, 1, 2])
     with pytest.raises(GenomeError, match="node 4: activation 5"):
         make_genome([], node_activation=[0, 0, 0, 5])
+
+
+def test_a_genome_of_other_observations_is_refused(tmp_path: Path) -> None:
+    genome = initial_genome(2, 1, rng=np.random.default_rng(0), observation_schema="arena-1")
+    path = tmp_path / "genome.json"
+    save_genome(genome, path)
+    assert identical(load_genome(path, observation_schema="arena-1"), genome)
+    with pytest.raises(GenomeError, match=r"genome.json: .*'arena-1', not 'opennero-2014'"):
+        load_genome(path, observation_schema="opennero-2014")

@@ -295,5 +295,7 @@ def test_bad_shapes_and_genomes_are_named() -> None:
         network(torch.rand(2, 4))
     with pytest.raises(ValueError, match="genome 5 has 4 inputs and 2 outputs"):
         network.replace(0, grown(5, 0, inputs=4))
+    with pytest.raises(ValueError, match="genome 0 reads the observations 'radar'"):
+        network.replace(0, genome.replaced(observation_schema="radar"))
     with pytest.raises(ValueError, match="expected 6 genomes"):
         PopulationNetwork([genome], shape=(2, 3))
