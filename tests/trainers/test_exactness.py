@@ -73,13 +73,12 @@ Whole = Callable[[str], Path]
 ConfigOf = Callable[[str], RunConfig]
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [case for case in CASES if case != "qlearning"])
 def test_the_runs_of_this_file_have_births_and_become_recurrent(
     case: str, whole: Whole, config_of: ConfigOf, state_of: StateOf
 ) -> None:
     run = build(config_of(case))
-    if run.network is None:
-        pytest.skip("tables have no births")
+    assert run.network is not None
     assert run.network.state_size == 0
     state = state_of(whole(case))["run"]
     assert state["populations"][0]["births"] > 5
