@@ -1,7 +1,7 @@
 # Needs only Python 3.11 or newer and make. Everything else goes into .venv.
 # Another Python: make test PYTHON=/path/to/python3.12
 
-PYTHON ?= python3.11
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
 TASK ?= wall
 ARM ?= neatq
 TICKS ?= 70000
