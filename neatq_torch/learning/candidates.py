@@ -181,13 +181,10 @@ class CandidatePolicy(TensorDictModuleBase):
 
     def state(self) -> dict[str, Any]:
         """What a checkpoint must keep: recurrent state and exploration."""
-        exploration = self.exploration
         return {
             "memory": self.memory,
             "previous": self.previous,
-            "held": exploration.held,
-            "remaining_ticks": exploration.remaining_ticks,
-            "tick": exploration.tick,
+            "exploration": self.exploration.state(),
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
@@ -196,10 +193,7 @@ class CandidatePolicy(TensorDictModuleBase):
         missing = self.network.state_size - saved.shape[-1]
         self.memory = nn.functional.pad(saved, (0, missing))
         self.previous = torch.as_tensor(state["previous"]).to(self.previous)
-        self.exploration.held = torch.as_tensor(state["held"]).to(self.exploration.held)
-        remaining = torch.as_tensor(state["remaining_ticks"])
-        self.exploration.remaining_ticks = remaining.to(self.exploration.held)
-        self.exploration.tick = state["tick"]
+        self.exploration.load_state(state["exploration"])
 
 
 def check_heads(network: PopulationNetwork, heads: CandidateHeads) -> None:

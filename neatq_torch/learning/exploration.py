@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -112,6 +113,17 @@ class EpsilonGreedy(nn.Module):
     def reset(self, newborn: Tensor) -> None:
         """End the runs of newborns (mask [*shape])."""
         self.remaining_ticks = self.remaining_ticks.masked_fill(newborn, 0)
+
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint must keep: ticks drawn, running explorations, epsilon."""
+        names = ("epsilon", "held", "remaining_ticks")
+        return {"tick": self.tick, **{name: getattr(self, name) for name in names}}
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Go on from `state`."""
+        self.tick = state["tick"]
+        for name in ("epsilon", "held", "remaining_ticks"):
+            setattr(self, name, torch.as_tensor(state[name]).to(getattr(self, name)))
 
     def _uniform(self) -> Tensor:
         """Three numbers in [0, 1) for each robot [3, *shape]."""

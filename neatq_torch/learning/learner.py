@@ -187,8 +187,9 @@ class TDLearner:
         return self.loss.target_value_network_params["network", "weight"]
 
     def state(self) -> State:
-        """Moments, steps and target parameters."""
+        """Learning rates, moments, steps and target parameters."""
         state = {
+            "learning_rate": self.learning_rate,
             "steps": self.steps,
             "first_moment": self.first_moment,
             "second_moment": self.second_moment,
@@ -200,9 +201,9 @@ class TDLearner:
     @torch.no_grad()
     def load_state(self, state: State) -> None:
         """Go on from `state`."""
-        self.steps.copy_(_like(state["steps"], self.steps))
-        self.first_moment.copy_(_like(state["first_moment"], self.first_moment))
-        self.second_moment.copy_(_like(state["second_moment"], self.second_moment))
+        for name in ("learning_rate", "steps", "first_moment", "second_moment"):
+            own = getattr(self, name)
+            own.copy_(_like(state[name], own))
         if self.target_update is not None:
             target = self._target_weight()
             target.copy_(_like(state["target_weight"], target))
