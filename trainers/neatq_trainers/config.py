@@ -235,7 +235,7 @@ _ARMS: dict[Arm, dict[str, Any]] = {
         "learning": LearningConfig(
             step=LearnerConfig(learning_rate=0.01, optimizer="adam"),
             discount=0.9,
-            epsilon=0.01,
+            epsilon=0.001,
             max_hold_ticks=40,
         ),
     },
