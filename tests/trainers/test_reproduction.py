@@ -28,6 +28,11 @@ def test_the_difference_stands_beside_what_is_allowed() -> None:
     assert apart.endswith("| +5.7 (11.5) |")
 
 
+def test_what_the_specification_does_not_give_is_left_empty() -> None:
+    curves: Curves = {("wall", "qlearning"): np.full((2, 40), 267.0)}
+    assert table(curves).splitlines()[-1] == "| | specification | 1 | 268 | 268 | 268 | 266 |  |"
+
+
 def test_every_panel_has_a_published_curve_of_the_same_length() -> None:
     published = published_curves()
     lengths = {task: published[task, "rtneat"][-1, 0] for task in ("flag", "moving", "wall")}

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 import msgspec
 
-from neatq_envs.scenario import TASKS, Scenario, ScenarioError, load_scenario
+from neatq_envs.scenario import TASKS, Scenario, load_scenario
 from neatq_torch.evolution import RtNEATConfig, interval_ticks
 from neatq_torch.genome import ACTIVATIONS
 from neatq_torch.learning import Inheritance, LearnerConfig
@@ -286,14 +286,3 @@ def _scenario(task: str, defaults: Scenario) -> Scenario:
             f"{task!r}"
         )
     return load_scenario(task, defaults)
-
-
-__all__ = [
-    "Arm",
-    "ConfigError",
-    "LearningConfig",
-    "NetworkConfig",
-    "RunConfig",
-    "ScenarioError",
-    "preset",
-]
