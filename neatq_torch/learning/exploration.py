@@ -17,6 +17,7 @@ def _signed(number: int) -> int:
 
 
 _STEP = 0x9E3779B97F4A7C15
+_DRAWN_TICKS = 64
 _FACTORS = (_signed(0xBF58476D1CE4E5B9), _signed(0x94D049BB133111EB))
 
 
@@ -40,7 +41,8 @@ class EpsilonGreedy(nn.Module):
     leave the path instead of stepping off it for one tick.
 
     The numbers are a function of (seed of the arena, robot, tick) alone, so an arena explores in
-    the same way whatever stands beside it, on any device, and nothing waits for the host.
+    the same way whatever stands beside it, on any device, and nothing waits for the host. They are
+    drawn for many ticks at a time.
 
     Under `ExplorationType.DETERMINISTIC` (and MODE and MEAN) the best candidate is taken.
 
@@ -52,7 +54,9 @@ class EpsilonGreedy(nn.Module):
 
     Attributes:
         epsilon: Per robot [*shape]; may be changed in place.
-        tick: Ticks drawn so far.
+        tick: Ticks so far.
+        held: The candidate that each robot explored last [*shape].
+        until_tick: The last tick of that run [*shape].
 
     Raises:
         ValueError: If an argument is out of range.
@@ -60,8 +64,11 @@ class EpsilonGreedy(nn.Module):
 
     epsilon: Tensor
     held: Tensor
+    until_tick: Tensor
     _keys: Tensor
-    remaining_ticks: Tensor
+    _chance: Tensor
+    _choice: Tensor
+    _end: Tensor
 
     def __init__(
         self,
@@ -88,7 +95,9 @@ class EpsilonGreedy(nn.Module):
         self.register_buffer("epsilon", torch.full(tuple(shape), epsilon), persistent=False)
         empty = torch.zeros(tuple(shape), dtype=torch.long)
         self.register_buffer("held", empty, persistent=False)
-        self.register_buffer("remaining_ticks", empty.clone(), persistent=False)
+        self.register_buffer("until_tick", empty.clone(), persistent=False)
+        for name in ("_chance", "_choice", "_end"):
+            self.register_buffer(name, torch.empty(0), persistent=False)
 
     def forward(self, values: Tensor) -> Tensor:
         """Take a candidate.
@@ -102,31 +111,44 @@ class EpsilonGreedy(nn.Module):
         greedy = values.argmax(-1)
         if exploration_type() not in (None, ExplorationType.RANDOM) or values.shape[-1] == 1:
             return greedy
-        chance, choice, duration = self._uniform()
-        start = (self.remaining_ticks == 0) & (chance < self.epsilon)
-        hold = (1 / (1 - duration)).clamp_max(self.max_hold_ticks).long()
-        self.held = torch.where(start, (choice * values.shape[-1]).long(), self.held)
-        remaining = torch.where(start, hold, self.remaining_ticks)
-        self.remaining_ticks = (remaining - 1).clamp_min(0)
-        return torch.where(remaining > 0, self.held, greedy)
+        place = self._next_tick()
+        running = self.until_tick >= self.tick
+        start = (self._chance[place] < self.epsilon) & ~running
+        choice = (self._choice[place] * values.shape[-1]).long()
+        self.held = torch.where(start, choice, self.held)
+        self.until_tick = torch.where(start, self._end[place], self.until_tick)
+        return torch.where(running | start, self.held, greedy)
 
     def reset(self, newborn: Tensor) -> None:
         """End the runs of newborns (mask [*shape])."""
-        self.remaining_ticks = self.remaining_ticks.masked_fill(newborn, 0)
+        self.until_tick = self.until_tick.masked_fill(newborn, 0)
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint must keep: ticks drawn, running explorations, epsilon."""
-        names = ("epsilon", "held", "remaining_ticks")
+        """What a checkpoint must keep: ticks so far, running explorations, epsilon."""
+        names = ("epsilon", "held", "until_tick")
         return {"tick": self.tick, **{name: getattr(self, name) for name in names}}
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Go on from `state`."""
         self.tick = state["tick"]
-        for name in ("epsilon", "held", "remaining_ticks"):
+        self._end = self._end[:0]
+        for name in ("epsilon", "held", "until_tick"):
             setattr(self, name, torch.as_tensor(state[name]).to(getattr(self, name)))
 
-    def _uniform(self) -> Tensor:
-        """Three numbers in [0, 1) for each robot [3, *shape]."""
+    def _next_tick(self) -> int:
+        """Begin a tick; returns its place in the numbers drawn."""
         self.tick += 1
-        bits = _scramble(self._keys + _signed(self.tick * _STEP))
-        return _shift_right(bits, 40) * 2.0**-24
+        place = self.tick % _DRAWN_TICKS
+        if place == 0 or not len(self._end):
+            self._draw(self.tick - place)
+        return place
+
+    def _draw(self, first: int) -> None:
+        """Draw for the ticks from `first` on [ticks, *shape]."""
+        steps = [_signed(tick * _STEP) for tick in range(first, first + _DRAWN_TICKS)]
+        bits = self._keys.unsqueeze(1) + self._keys.new_tensor(steps).view(-1, 1, 1)
+        uniform = _shift_right(_scramble(bits), 40) * 2.0**-24
+        self._chance, self._choice, duration = uniform
+        hold = (1 / (1 - duration)).clamp_max(self.max_hold_ticks).long()
+        ticks = torch.arange(first, first + _DRAWN_TICKS, device=hold.device)
+        self._end = hold + (ticks - 1).view(-1, 1, 1)

@@ -68,10 +68,10 @@ def test_held_exploration_lasts_n_ticks_with_probability_one_over_n_times_n_plus
     lengths, before = [], torch.zeros(200, dtype=torch.long)
     for _ in range(1500):
         explore(values)
-        now = explore.remaining_ticks[0] + 1
-        started = (before == 0) & (explore.held[0] >= 0) & (explore.remaining_ticks[0] >= 1)
-        lengths += now[started].tolist()
-        before = explore.remaining_ticks[0]
+        until = explore.until_tick[0]
+        started = until != before
+        lengths += (until[started] - explore.tick + 1).tolist()
+        before = until
     counts = np.bincount(lengths, minlength=31)
     longer = counts[2:].sum()
     assert counts[2] / longer == pytest.approx((1 / 6) / (1 / 2), abs=0.03)
@@ -84,7 +84,7 @@ def test_a_run_takes_the_same_candidate_until_it_ends() -> None:
     explore, values = greedy((1, 1), epsilon=0.5, max_hold_ticks=10), torch.zeros(1, 1, 9)
     held = None
     for _ in range(300):
-        running = explore.remaining_ticks.item() > 0
+        running = explore.until_tick.item() > explore.tick
         taken = explore(values).item()
         if running:
             assert taken == held
@@ -103,9 +103,9 @@ def test_a_newborn_ends_the_run_of_its_predecessor() -> None:
     explore = greedy((1, 2), epsilon=1.0, max_hold_ticks=100)
     for _ in range(20):
         explore(torch.zeros(1, 2, 3))
-    explore.remaining_ticks.fill_(7)
+    explore.until_tick.fill_(27)
     explore.reset(torch.tensor([[True, False]]))
-    assert explore.remaining_ticks.tolist() == [[0, 7]]
+    assert explore.until_tick.tolist() == [[0, 27]]
 
 
 def recurrent_policy() -> CandidatePolicy:
