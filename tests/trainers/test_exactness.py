@@ -80,7 +80,7 @@ def test_the_runs_of_this_file_have_births_and_become_recurrent(
     run = build(config_of(case))
     assert run.network is not None
     assert run.network.state_size == 0
-    state = state_of(whole(case))["run"]
+    state = state_of(whole(case))["runs"][0]
     assert state["populations"][0]["births"] > 5
     assert state["policy"]["memory"].shape[-1] > 0
 
@@ -215,7 +215,7 @@ def test_a_run_that_is_killed_at_any_moment_goes_on_exactly(
     assert 30 < resume_tick(tmp_path / "run") < 520
     resume(tmp_path / "run")
     ours, killed = state_of(whole(arm)), state_of(tmp_path / "run")
-    assert differences(ours, killed) == ["/run/config/checkpoint_seconds"]
+    assert differences(ours, killed) == ["/config/checkpoint_seconds"]
     assert (whole(arm) / METRICS).read_text() == (tmp_path / "run" / METRICS).read_text()
 
 
@@ -236,7 +236,7 @@ def test_ctrl_c_in_a_terminal_ends_with_130_and_says_how_to_go_on(
     assert main(["resume", str(folder)]) == 0
     assert capsys.readouterr().err == ""
     ours, stopped = state_of(whole("neatq")), state_of(folder)
-    assert differences(ours, stopped) == ["/run/config/checkpoint_seconds"]
+    assert differences(ours, stopped) == ["/config/checkpoint_seconds"]
 
 
 def rows_of(folder: Path, arena: int) -> list[str]:
@@ -257,7 +257,7 @@ def test_an_arena_is_the_run_with_its_seed(
     start(replace(config_of(case), arenas=2, seed=0), tmp_path / "run")
     assert len(rows_of(whole(case), 0)) == 5
     assert rows_of(tmp_path / "run", 1) == rows_of(whole(case), 0)
-    alone, beside = state_of(whole(case))["run"], state_of(tmp_path / "run")["run"]
+    alone, beside = state_of(whole(case))["runs"][0], state_of(tmp_path / "run")["runs"][0]
     for one, two in zip(alone["populations"], beside["populations"][1:], strict=True):
         assert differences({"population": one}, {"population": two}) == []
     if alone["weight"] is not None:

@@ -12,7 +12,7 @@ from tensordict import TensorDict
 from neatq_torch.learning import TDLearner
 from neatq_trainers.build import Run, build
 from neatq_trainers.config import Arm, RunConfig, preset
-from neatq_trainers.train import breed, make_collector
+from neatq_trainers.loop import breed, make_collector
 
 
 def small(arm: Arm, *, life_ticks: int = 120, robots: int = 10, **changes: object) -> RunConfig:

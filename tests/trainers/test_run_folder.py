@@ -32,6 +32,7 @@ from neatq_trainers.run_folder import (
     RunFolderError,
 )
 from neatq_trainers.train import resume, start, train
+from neatq_trainers.workers import open_workers
 
 Tiny = Callable[..., RunConfig]
 
@@ -130,7 +131,7 @@ def test_the_track_is_the_latest_life(done: Path) -> None:
     assert state["track"].dtype == np.float32
     # Poses are seen at the beginning of a tick: one tick of at most 1 unit before the world's.
     # The newborn stands at the spawn already.
-    moved = state["track"][:, -1, :2] - state["run"]["world"]["place"][0, :, :2]
+    moved = state["track"][:, -1, :2] - state["runs"][0]["world"]["place"][0, :, :2]
     assert (np.hypot(*moved.T) < 1.01).sum() == 9 - 1
 
 
@@ -233,12 +234,12 @@ def test_a_full_disk_during_training_leaves_a_run_that_goes_on_exactly(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     folder = RunFolder.open(again)
-    run = folder.load(ticks=500)
-    tick = run.tick
-    with monkeypatch.context() as patch:
+    config, states = folder.load(ticks=500)
+    tick = states[0]["tick"]
+    with monkeypatch.context() as patch, open_workers([config], states) as workers:
         patch.setattr(os, "fsync", full)
         with pytest.raises(OSError, match="No space left") as caught:
-            train(run, folder)
+            train(config, tick, workers, folder)
     assert caught.value.filename == str(again / CHECKPOINT)
     assert RunFolder.open(again).read().tick == tick
     resume(again)

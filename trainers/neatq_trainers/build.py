@@ -77,7 +77,6 @@ class Run:
     def state(self) -> dict[str, Any]:
         """Everything from which `build` goes on bit for bit; take it between two batches."""
         return {
-            "config": self.config.to_dict(),
             "tick": self.tick,
             "world": self.env.world_state(),
             "policy": self.policy.state(),
@@ -92,8 +91,11 @@ def build(config: RunConfig, state: dict[str, Any] | None = None) -> Run:
 
     Args:
         config: What to make.
-        state: What `Run.state` gave, to go on from there; None to begin.
+        state: What `Run.state` gave, to go on from there; None to begin. A run that had no tick
+            yet begins, as its worlds are drawn then.
     """
+    if state is not None and not state["tick"]:
+        state = None
     env = ArenaEnv(config.scenario, arenas=config.arenas, seed=config.seed)
     run = (_table_run if config.learning.rule == "table" else _network_run)(config, env, state)
     if state is not None:

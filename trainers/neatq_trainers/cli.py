@@ -30,6 +30,7 @@ from neatq_trainers.run_folder import (
     RunFolder,
 )
 from neatq_trainers.train import resume, start
+from neatq_trainers.workers import fitting_workers
 
 Command = TypeVar("Command")
 
@@ -56,6 +57,9 @@ class TrainCommand:
     config: Annotated[RunConfig, tyro.conf.arg(name="")]
     out: Path | None = None
     """The run folder; new or empty. Default: runs/TASK-ARM-seedSEED."""
+    workers: int | None = None
+    """Processes among which the arenas are dealt; the results do not depend on it. Default: one
+    for each core, but at least four arenas each."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,10 +113,11 @@ def _train(arguments: list[str]) -> None:
     default = TrainCommand(config=preset(chosen.task, chosen.arm))
     command = _parse(TrainCommand, "train", arguments, default)
     config = command.config
+    workers = fitting_workers(config.arenas) if command.workers is None else command.workers
     name = f"{config.scenario.name}-{config.arm}-seed{config.seed}"
     out = command.out or Path("runs") / name
     with _saying_how_to_go_on(out):
-        _finish(start(config, out))
+        _finish(start(config, out, workers=workers))
 
 
 def _resume(arguments: list[str]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -183,6 +184,15 @@ class RunConfig:
     def stride_ticks(self) -> int:
         """Ticks from one moment at which the run can stop and go on to the next: whole batches."""
         return self.ticks_per_batch * math.ceil(STRIDE_TICKS / self.ticks_per_batch)
+
+    def first_arenas(self, parts: int) -> list[int]:
+        """The first arena of each of so many parts, of nearly equal size."""
+        return [self.arenas * part // parts for part in range(parts)]
+
+    def split(self, parts: int) -> list[RunConfig]:
+        """The run as several runs, each with a part of its arenas."""
+        borders = pairwise([*self.first_arenas(parts), self.arenas])
+        return [replace(self, arenas=end - first, seed=self.seed + first) for first, end in borders]
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values from which `from_dict` makes an equal configuration."""

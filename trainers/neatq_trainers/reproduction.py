@@ -25,6 +25,7 @@ from neatq_trainers.metrics import ROW_TICKS
 from neatq_trainers.report import read_metrics, save_figure
 from neatq_trainers.run_folder import CHECKPOINT
 from neatq_trainers.train import resume, start
+from neatq_trainers.workers import fitting_workers
 
 
 class Specification(NamedTuple):
@@ -79,7 +80,8 @@ def main() -> None:
             if (folder / CHECKPOINT).exists():
                 resume(folder)
             else:
-                start(replace(preset(task, arm), arenas=options.seeds), folder)
+                config = replace(preset(task, arm), arenas=options.seeds)
+                start(config, folder, workers=fitting_workers(options.seeds))
         if (folder / CHECKPOINT).exists():
             curve = mean_distances(folder)
             if curve.shape[1] == TASK_TICKS[task] // ROW_TICKS:  # else another process is at it

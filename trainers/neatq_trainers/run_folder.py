@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tensordict import TensorDictBase
 
 from neatq_envs.sensors import SCHEMAS
 from neatq_torch.atomic import write_atomic
@@ -22,6 +21,7 @@ from neatq_trainers.build import Run, build
 from neatq_trainers.config import ConfigError, RunConfig
 from neatq_trainers.loggers import RunLogger
 from neatq_trainers.metrics import HEADER, Row
+from neatq_trainers.workers import Snapshot, State
 
 CONFIG, METRICS, CHECKPOINT = "config.json", "metrics.csv", "checkpoint.npz"
 CHAMPION, CURVES, ARENA, ANIMATION = "champion.json", "curves.png", "arena.png", "team.gif"
@@ -42,11 +42,6 @@ def _unbegun(path: Path) -> bool:
         return False
     metrics = path / METRICS
     return not metrics.exists() or metrics.read_bytes() == HEADER.encode()
-
-
-def _build(config: RunConfig, state: dict[str, Any]) -> Run:
-    """The run with a saved state; one without a tick begins, as new worlds are drawn then."""
-    return build(config, state if state["tick"] else None)
 
 
 @dataclass(kw_only=True)
@@ -100,11 +95,14 @@ class RunFolder:
             raise RunFolderError(f"{path}: no run to go on with; there is no {CHECKPOINT} in it")
         return RunFolder(path=path, logger=RunLogger(None, path))
 
-    def load(self, *, ticks: int | None = None) -> Run:
+    def load(self, *, ticks: int | None = None) -> tuple[RunConfig, list[State]]:
         """The run as the checkpoint has it, and the folder's files cut back to that moment.
 
         Args:
             ticks: Another length for the run.
+
+        Returns:
+            Its configuration, and the state of each part that had a worker of its own.
 
         Raises:
             RunFolderError: If it has more ticks than that already.
@@ -114,23 +112,26 @@ class RunFolder:
         config, state = self._read()
         if ticks is not None:
             config = replace(config, ticks=ticks)
-            if ticks < state["run"]["tick"]:
+            done = state["runs"][0]["tick"]
+            if ticks < done:
                 raise RunFolderError(
-                    f"ticks: the run in {self.path} has {state['run']['tick']} already, got "
+                    f"ticks: the run in {self.path} has {done} already, got "
                     f"{ticks}; give more, or begin a new run with another --out"
                 )
-        run = _build(config, state["run"])
         self._cut_metrics(state["metrics_bytes"], state["metrics_crc"])
         if ticks is not None:
             write_atomic(self.path / CONFIG, json.dumps(config.to_dict(), indent=2) + "\n")
         self.logger = RunLogger(config.logger, self.path)
         self.track = deque([state["track"]] if state["track"].size else [])
-        return run
+        return config, state["runs"]
 
     def read(self) -> Run:
-        """The run as the checkpoint has it; nothing in the folder changes."""
+        """The run as the checkpoint has it, of the arenas of its first worker.
+
+        Nothing in the folder changes.
+        """
         config, state = self._read()
-        return _build(config, state["run"])
+        return build(config.split(len(state["runs"]))[0], state["runs"][0])
 
     def _read(self) -> tuple[RunConfig, dict[str, Any]]:
         path = self.path / CONFIG
@@ -143,7 +144,7 @@ class RunFolder:
         schema = SCHEMAS[config.scenario.sensors].name
         state = load_checkpoint(self.path / CHECKPOINT, observation_schema=schema)
         try:
-            made_with = RunConfig.from_dict(state["run"]["config"])
+            made_with = RunConfig.from_dict(state["config"])
         except (KeyError, TypeError, ConfigError) as error:
             raise CheckpointError(
                 f"{self.path / CHECKPOINT}: not a run of this version of neatq ({error})"
@@ -166,10 +167,10 @@ class RunFolder:
         write_atomic(path, content)
         self.metrics_bytes, self.metrics_crc = length, crc
 
-    def record(self, run: Run, batch: TensorDictBase, rows: Sequence[Row]) -> None:
-        """Add a batch: its rows to the metrics, its poses to the track."""
-        self.track.append(batch.get("pose")[0].numpy())
-        life = life_ticks(run.config)
+    def record(self, config: RunConfig, poses: np.ndarray, rows: Sequence[Row]) -> None:
+        """Add rows to the metrics and poses [robots, ticks, 3] of arena 0 to the track."""
+        self.track.append(poses)
+        life = life_ticks(config)
         while sum(poses.shape[1] for poses in self.track) - self.track[0].shape[1] >= life:
             self.track.popleft()
         if rows:
@@ -196,16 +197,21 @@ class RunFolder:
             return np.zeros((0, 0, 3), np.float32)
         return np.concatenate(list(self.track), 1)[:, -life:].astype(np.float32)
 
-    def checkpoint(self, run: Run) -> None:
-        """Write the checkpoint and the champion of arena 0."""
+    def checkpoint(self, config: RunConfig, parts: Sequence[Snapshot]) -> None:
+        """Write the checkpoint and the champion of arena 0.
+
+        Args:
+            config: The whole run.
+            parts: Its arenas as they stand, as the workers have them.
+        """
         state = {
-            "run": run.state(),
+            "config": config.to_dict(),
+            "runs": [part.state for part in parts],
             "metrics_bytes": self.metrics_bytes,
             "metrics_crc": self.metrics_crc,
-            "track": self.latest_track(life_ticks(run.config)),
+            "track": self.latest_track(life_ticks(config)),
         }
-        schema = run.env.arena.schema.name
+        schema = SCHEMAS[config.scenario.sensors].name
         save_checkpoint(self.path / CHECKPOINT, state, observation_schema=schema)
-        champion = run.populations[0].champion if run.populations else None
-        if champion is not None and run.network is not None:
-            save_genome(run.network.genome(champion), self.path / CHAMPION)
+        if parts[0].champion is not None:
+            save_genome(parts[0].champion, self.path / CHAMPION)
