@@ -1,30 +1,31 @@
-"""From genomes to integer tensors: the one place that knows where a link's weight is kept.
+"""From genomes to integers: the one place that knows where a link's weight is kept.
 
-A network's values stand in one row of `Layout.rows` places::
+A network's values stand in rows of its own count::
 
-    [ inputs | bias | state | hidden | outputs | spare ]
+    [ inputs | bias | outputs | state | hidden ]
 
-and its weights in one row of `Layout.columns` places::
+and its weights in one row of `Layout.columns` columns, as many for every network::
 
-    [ outputs x (inputs + bias), dense | other links ]
+    [ (inputs + bias) x outputs, dense | other links ]
 
-Links from an input to an output, with which every NEAT genome starts, are the dense part: one
-batched matrix product for the whole population. All other links are sparse: they are grouped by
-the level of their source, and a level adds `value[source] * weight[column]` to its targets. A
-place that is not in use reads and writes the network's spare value, which is always zero, so one
-genome is replaced by writing its own rows and nobody else's.
+Links from an input to an output, with which every NEAT genome starts, are the dense part: a matrix
+for each network, a row of it for each input. All other links are sparse, and their columns are in
+the order in which they are evaluated. So an instruction need not say where its weights are: "add
+the next `links` weights times values to this row, then activate it".
+
+No number here depends on another network of the population. Replacing one genome writes its own
+rows and nobody else's; when it needs more room than there is, every array gets more columns, and
+nothing that was written moves.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from neatq_torch.genome.genome import ACTIVATIONS, Genome, NodeKind
 from neatq_torch.genome.graph import node_levels
@@ -34,17 +35,16 @@ Evaluation = Literal["settle", "synchronous"]
 before. `synchronous`: one propagation a call, every link out of a hidden or output node reads the
 call before (Stanley's C++ NEAT, OpenNERO)."""
 
-_IDENTITY = ACTIVATIONS.index("identity")
-_REGION_BITS = 24
-_INPUT, _STATE, _HIDDEN, _OUTPUT = (region << _REGION_BITS for region in range(4))
+IDENTITY = ACTIVATIONS.index("identity")
+LAST_LEVEL = np.iinfo(np.int32).max
+"""The level of outputs that no link reads within the call: after all others."""
 
-Indices = NDArray[np.int64]
-_NONE = np.empty(0, np.int64)
+Indices = NDArray[np.integer]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """How many places each network of a population has.
+    """How much room each network of a population has.
 
     Attributes:
         inputs: Observations of a network, without the bias.
@@ -52,8 +52,7 @@ class Layout:
         state: Values that recurrent links read from the call before.
         hidden: Hidden nodes.
         sparse: Links outside the dense part.
-        level_links: Sparse links of each level.
-        level_nodes: Nodes that pass values on, of each level; level 0 has none.
+        instructions: Instructions of `Program`.
     """
 
     inputs: int
@@ -61,8 +60,7 @@ class Layout:
     state: int = 0
     hidden: int = 0
     sparse: int = 0
-    level_links: tuple[int, ...] = ()
-    level_nodes: tuple[int, ...] = ()
+    instructions: int = 0
 
     @property
     def dense(self) -> int:
@@ -75,51 +73,23 @@ class Layout:
         return self.dense + self.sparse
 
     @property
-    def first_hidden(self) -> int:
-        """Row of the first hidden node."""
-        return self.inputs + 1 + self.state
+    def first_state(self) -> int:
+        """Row of the first value of the state."""
+        return self.inputs + 1 + self.outputs
 
     @property
     def rows(self) -> int:
-        """Values of one network, the spare one included."""
-        return self.first_hidden + self.hidden + self.outputs + 1
-
-    def row(self, address: Indices) -> Indices:
-        """The value rows [n] of addresses [n] (region and index in one number)."""
-        first = np.array(
-            [0, self.inputs + 1, self.first_hidden, self.first_hidden + self.hidden], np.int64
-        )
-        return first[address >> _REGION_BITS] + (address & ((1 << _REGION_BITS) - 1))
+        """Values of one network."""
+        return self.first_state + self.state + self.hidden
 
     def holds(self, other: Layout) -> bool:
         """Whether a network that needs `other` fits."""
-        return (
-            (self.inputs, self.outputs) == (other.inputs, other.outputs)
-            and self.state >= other.state
-            and self.hidden >= other.hidden
-            and self.sparse >= other.sparse
-            and _covers(self.level_links, other.level_links)
-            and _covers(self.level_nodes, other.level_nodes)
-        )
+        return self.union([self, other]) == self
 
     @staticmethod
     def union(layouts: Sequence[Layout]) -> Layout:
-        """The smallest layout that holds all of `layouts`."""
-        depth = max(len(layout.level_links) for layout in layouts)
-
-        def widest(name: str) -> tuple[int, ...]:
-            sizes = [getattr(layout, name) for layout in layouts]
-            return tuple(max((s[i] for s in sizes if len(s) > i), default=0) for i in range(depth))
-
-        return Layout(
-            inputs=layouts[0].inputs,
-            outputs=layouts[0].outputs,
-            state=max(layout.state for layout in layouts),
-            hidden=max(layout.hidden for layout in layouts),
-            sparse=max(layout.sparse for layout in layouts),
-            level_links=widest("level_links"),
-            level_nodes=widest("level_nodes"),
-        )
+        """The smallest layout that holds all of `layouts`, which agree in inputs and outputs."""
+        return Layout(**{name: max(getattr(layout, name) for layout in layouts) for name in _SIZES})
 
     def with_slack(self) -> Layout:
         """A layout in which the next genomes fit as well: a quarter more, and at least four."""
@@ -127,49 +97,38 @@ class Layout:
         def more(size: int) -> int:
             return size + max(4, size // 4)
 
-        links = self.level_links or (0,)
         return Layout(
             inputs=self.inputs,
             outputs=self.outputs,
             state=more(self.state) if self.state else 0,
             hidden=more(self.hidden),
             sparse=more(self.sparse),
-            level_links=tuple(map(more, links)),
-            level_nodes=(0, *map(more, self.level_nodes[1:])),
+            instructions=more(self.instructions),
         )
 
 
-def _covers(sizes: tuple[int, ...], needed: tuple[int, ...]) -> bool:
-    return len(sizes) >= len(needed) and all(
-        size >= need for size, need in zip(sizes, needed, strict=False)
-    )
+_SIZES = tuple(Layout.__dataclass_fields__)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GenomePlan:
     """One genome in evaluation order, independent of any population.
 
-    Places are addresses (region and index); `Layout.row` turns them into rows.
-
     Attributes:
         need: The smallest layout that holds it.
         enabled: Positions of the enabled links in the genome [enabled].
         column: Weight column of each enabled link [enabled].
-        state: Addresses whose values the state keeps [state].
-        levels: For each level its sparse links (source, target, column) and the nodes to activate
-            before them (address, activation).
-        hidden_activation: Activation of each hidden node at the end of a call [hidden]; identity
-            for those that a level has activated.
-        output_activation: The same of each output [outputs].
+        kept: Rows whose values the state keeps [state].
+        instruction: See `Program` [instructions, 5].
+        source: Row that each sparse link reads, in the order of the columns [sparse].
     """
 
     need: Layout
     enabled: Indices
     column: Indices
-    state: Indices
-    levels: tuple[tuple[Indices, Indices, Indices, Indices, Indices], ...]
-    hidden_activation: Indices
-    output_activation: Indices
+    kept: Indices
+    instruction: Indices
+    source: Indices
 
 
 def compile_genome(genome: Genome, evaluation: Evaluation) -> GenomePlan:
@@ -182,172 +141,119 @@ def compile_genome(genome: Genome, evaluation: Evaluation) -> GenomePlan:
     Returns:
         Its plan. Disabled links take no part.
     """
-    address = _addresses(genome)
+    kind = genome.node_kind
+    sensor = (kind == NodeKind.INPUT) | (kind == NodeKind.BIAS)
     inputs, outputs = len(genome.input_ids), len(genome.output_ids)
     enabled = np.flatnonzero(genome.link_enabled)
     source, target = genome.source_index[enabled], genome.target_index[enabled]
-    from_input = address[source] < _STATE
-    delayed = ~from_input if evaluation == "synchronous" else genome.link_recurrent[enabled]
-    dense = from_input & ~delayed & (address[target] >= _OUTPUT)
-    levels = _levels(address, source[~delayed], target[~delayed])
-    link_level = np.where(delayed | from_input, 0, levels[source])
+    synchronous = evaluation == "synchronous"
+    delayed = ~sensor[source] if synchronous else genome.link_recurrent[enabled]
+    now = ~delayed
+    level = node_levels(source[now], target[now], len(kind))
+    assert level is not None, "a valid genome has no cycle of forward links"
 
     state = np.unique(source[delayed])
-    source_address = address[source]
-    source_address[delayed] = _STATE + np.searchsorted(state, source[delayed])
-    column = np.empty(len(enabled), np.int64)
-    column[dense] = (address[target[dense]] - _OUTPUT) * (inputs + 1) + address[source[dense]]
-    column[~dense] = outputs * (inputs + 1) + np.arange((~dense).sum())
+    row = _rows(kind, len(state))
+    dense = sensor[source] & now & (kind[target] == NodeKind.OUTPUT)
+    sparse = np.flatnonzero(~dense)
+    sparse = sparse[np.lexsort((target[sparse], level[target[sparse]]))]
+    column = np.empty(len(enabled), np.int32)
+    column[dense] = row[source[dense]] * outputs + row[target[dense]] - (inputs + 1)
+    column[sparse] = outputs * (inputs + 1) + np.arange(len(sparse))
 
-    activation = genome.node_activation.astype(np.int64)
-    grouped = []
-    for level in range(int(link_level[~dense].max(initial=-1)) + 1):
-        links = np.flatnonzero(~dense & (link_level == level))
-        nodes = np.unique(source[links]) if level else _NONE
-        ends = source_address[links], address[target[links]], column[links]
-        grouped.append((*ends, address[nodes], activation[nodes]))
-        activation[nodes] = _IDENTITY
-    hidden = np.flatnonzero((address >= _HIDDEN) & (address < _OUTPUT))
-    output = np.flatnonzero(address >= _OUTPUT)
+    source_row = row[source]
+    source_row[delayed] = inputs + 1 + outputs + np.searchsorted(state, source[delayed])
+    read = np.zeros(len(kind), bool)
+    read[source[now]] = True
+    links = np.bincount(target[sparse], minlength=len(kind))
+    instruction = _instructions(genome, row, level, links, read)
     return GenomePlan(
         need=Layout(
             inputs=inputs,
             outputs=outputs,
             state=len(state),
-            hidden=len(hidden),
-            sparse=int((~dense).sum()),
-            level_links=tuple(len(level[0]) for level in grouped),
-            level_nodes=tuple(len(level[3]) for level in grouped),
+            hidden=int((kind == NodeKind.HIDDEN).sum()),
+            sparse=len(sparse),
+            instructions=len(instruction),
         ),
-        enabled=enabled,
+        enabled=enabled.astype(np.int32),
         column=column,
-        state=address[state],
-        levels=tuple(grouped),
-        hidden_activation=activation[hidden],
-        output_activation=activation[output],
+        kept=row[state],
+        instruction=instruction,
+        source=source_row[sparse],
     )
 
 
-def _levels(address: Indices, source: Indices, target: Indices) -> Indices:
-    """The level of each node [nodes]: 0 for inputs, at least 1 for all others."""
-    others = np.flatnonzero(address >= _HIDDEN)
-    ground = np.full(len(others), len(address))
-    levels = node_levels(
-        np.concatenate([source, ground]), np.concatenate([target, others]), len(address) + 1
-    )
-    assert levels is not None, "a valid genome has no cycle of forward links"
-    return levels[:-1].astype(np.int64)
-
-
-def _addresses(genome: Genome) -> Indices:
-    """The address of each node [nodes]: its region and its index there, in node order."""
-    kind = genome.node_kind
-    address = np.empty(len(kind), np.int64)
-    for node_kind, region in (
-        (NodeKind.INPUT, _INPUT),
-        (NodeKind.OUTPUT, _OUTPUT),
-        (NodeKind.HIDDEN, _HIDDEN),
+def _rows(kind: Indices, state: int) -> NDArray[np.int32]:
+    """The value row of each node [nodes], in a network that keeps `state` values."""
+    row = np.empty(len(kind), np.int32)
+    inputs, outputs = (int((kind == k).sum()) for k in (NodeKind.INPUT, NodeKind.OUTPUT))
+    for node_kind, first in (
+        (NodeKind.INPUT, 0),
+        (NodeKind.BIAS, inputs),
+        (NodeKind.OUTPUT, inputs + 1),
+        (NodeKind.HIDDEN, inputs + 1 + outputs + state),
     ):
         here = np.flatnonzero(kind == node_kind)
-        address[here] = region + np.arange(len(here))
-    address[kind == NodeKind.BIAS] = _INPUT + (kind == NodeKind.INPUT).sum()
-    return address
+        row[here] = first + np.arange(len(here))
+    return row
 
 
-@dataclass(eq=False, kw_only=True)
-class Level:
-    """One level of all networks.
+def _instructions(
+    genome: Genome, row: Indices, level: Indices, links: Indices, read: NDArray[np.bool_]
+) -> NDArray[np.int32]:
+    """The instructions of a genome, see `Program` [instructions, 5].
+
+    Args:
+        genome: The genome.
+        row: Value row of each node [nodes].
+        level: Longest path of links that ends in each node [nodes].
+        links: Sparse links into each node [nodes].
+        read: Whether a link reads a node within the call [nodes].
+    """
+    kind, activation = genome.node_kind, genome.node_activation
+    hidden, output = kind == NodeKind.HIDDEN, kind == NodeKind.OUTPUT
+    own = hidden | (output & read)  # these are activated before the last level
+    nodes = np.flatnonzero(own | (output & (links > 0)))
+    nodes = nodes[np.lexsort((nodes, level[nodes]))]
+    single = np.empty((len(nodes), 5), np.int32)
+    single[:, 0] = row[nodes]
+    single[:, 1] = 1
+    single[:, 2] = links[nodes]
+    single[:, 3] = np.where(own[nodes], activation[nodes], IDENTITY)
+    single[:, 4] = level[nodes]
+
+    last = np.where(own, IDENTITY, activation)[output]
+    start = np.flatnonzero(np.diff(last, prepend=-1))
+    runs = np.empty((len(start), 5), np.int32)
+    runs[:, 0] = len(genome.input_ids) + 1 + start
+    runs[:, 1] = np.diff(start, append=len(last))
+    runs[:, 2] = 0
+    runs[:, 3] = last[start]
+    runs[:, 4] = LAST_LEVEL
+    return np.concatenate([single, runs[runs[:, 3] != IDENTITY]])
+
+
+class Program(NamedTuple):
+    """The evaluation order of a whole population, as arrays that begin with [networks].
+
+    Places beyond a network's own sizes hold zeros that nobody reads.
 
     Attributes:
-        source, target: Value rows of the links, flat over networks [networks * links].
-        column: Weight places of the links, flat over networks [networks * links].
-        node: Value rows to activate first, flat over networks [networks * nodes].
-        activation: Their activations [networks * nodes, 1].
+        size: Instructions, values of the state and hidden nodes of each network [networks, 3].
+        instruction: [networks, instructions, 5]: a first row, a number of rows, links, activation,
+            level. The next `links` sparse links add weight * value to the first row, if there are
+            any; then all these rows are activated. Instructions stand in an order in which every
+            row is read after its activation. The level is the longest path of links that ends in
+            the row, and links only read rows of lower levels.
+        source: Row that each sparse link reads [networks, sparse].
+        kept: Rows whose values the state keeps [networks, state].
+        live: Whether a link belongs to a dense column [networks, dense]. The weights of all other
+            dense columns are read as zero and get no gradient.
     """
 
-    source: Tensor
-    target: Tensor
-    column: Tensor
-    node: Tensor
-    activation: Tensor
-
-    @staticmethod
-    def empty(networks: int, links: int, nodes: int) -> Level:
-        """A level with places for that many links and nodes of each network."""
-        return Level(
-            source=torch.zeros(networks * links, dtype=torch.long),
-            target=torch.zeros(networks * links, dtype=torch.long),
-            column=torch.zeros(networks * links, dtype=torch.long),
-            node=torch.zeros(networks * nodes, dtype=torch.long),
-            activation=torch.zeros(networks * nodes, 1, dtype=torch.long),
-        )
-
-
-class Plan:
-    """The evaluation order of a whole population.
-
-    It is deliberately no `nn.Module`: code that swaps a module's parameters and buffers for others
-    (functional calls, target networks) must never bring back an old topology.
-
-    Attributes:
-        layout: Places of each network.
-        levels: One `Level` for each level of links.
-        state_row: Value rows that the state keeps, flat over networks [networks * state].
-        activation: Activation at the end of a call [networks, hidden + outputs, 1].
-        live: 1 where a dense weight belongs to a link, else 0 [networks, dense].
-        activations: Indices of the activations that occur anywhere.
-    """
-
-    def __init__(self, plans: Sequence[GenomePlan], layout: Layout) -> None:
-        networks = len(plans)
-        self.layout = layout
-        self.activations: tuple[int, ...] = ()
-        self.levels = [
-            Level.empty(networks, links, nodes)
-            for links, nodes in zip(layout.level_links, layout.level_nodes, strict=True)
-        ]
-        self.state_row = torch.zeros(networks * layout.state, dtype=torch.long)
-        nodes = layout.hidden + layout.outputs
-        self.activation = torch.zeros(networks, nodes, 1, dtype=torch.long)
-        self.live = torch.zeros(networks, layout.dense)
-        for index, plan in enumerate(plans):
-            self.write(index, plan)
-
-    def apply(self, convert: Callable[[Tensor], Tensor]) -> None:
-        """Move or cast every tensor, as `nn.Module.to` does with its buffers."""
-        for holder in (self, *self.levels):
-            for name, value in vars(holder).items():
-                if isinstance(value, Tensor):
-                    setattr(holder, name, convert(value))
-
-    def write(self, index: int, plan: GenomePlan) -> None:
-        """Put one network's plan in place; it must fit (`layout.holds(plan.need)`)."""
-        layout = self.layout
-        row, column = index * layout.rows, index * layout.columns
-        spare = row + layout.rows - 1
-        for number, level in enumerate(self.levels):
-            used = plan.levels[number] if number < len(plan.levels) else (_NONE,) * 5
-            source, target, place, node, activation = used
-            _put(level.source, index, layout.level_links[number], row + layout.row(source), spare)
-            _put(level.target, index, layout.level_links[number], row + layout.row(target), spare)
-            _put(level.column, index, layout.level_links[number], column + place, column)
-            _put(level.node, index, layout.level_nodes[number], row + layout.row(node), spare)
-            codes = level.activation.view(-1)
-            _put(codes, index, layout.level_nodes[number], activation, _IDENTITY)
-        _put(self.state_row, index, layout.state, row + layout.row(plan.state), spare)
-        hidden = np.full(layout.hidden, _IDENTITY, np.int64)
-        hidden[: len(plan.hidden_activation)] = plan.hidden_activation
-        final = np.concatenate([hidden, plan.output_activation])
-        self.activation[index, :, 0] = torch.from_numpy(final)
-        live = np.zeros(layout.dense, np.float32)
-        live[plan.column[plan.column < layout.dense]] = 1
-        self.live[index] = torch.from_numpy(live)
-        early = [code for level in plan.levels for code in level[4].tolist()]
-        self.activations = tuple(sorted({*self.activations, *final.tolist(), *early}))
-
-
-def _put(flat: Tensor, index: int, size: int, values: Indices, fill: int) -> None:
-    """Write one network's `size` places of a flat tensor; `fill` stands in those not in use."""
-    padded = np.full(size, fill, np.int64)
-    padded[: len(values)] = values
-    flat[index * size : (index + 1) * size] = torch.from_numpy(padded)
+    size: NDArray[np.int32]
+    instruction: NDArray[np.int32]
+    source: NDArray[np.int32]
+    kept: NDArray[np.int32]
+    live: NDArray[np.bool_]

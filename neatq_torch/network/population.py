@@ -3,46 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Self
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from neatq_torch.genome.genome import ACTIVATIONS, Genome
-from neatq_torch.network.plan import Evaluation, GenomePlan, Layout, Plan, compile_genome
-
-
-def _sigmoid(x: Tensor) -> Tensor:
-    """The logistic function, with the same bits wherever a value stands in the tensor.
-
-    `torch.sigmoid` computes whole vectors in one way and the rest of a tensor in another, which
-    can differ in the last bit: a network's outputs would depend on what stands beside it.
-    """
-    return torch.tanh(0.5 * x) * 0.5 + 0.5
-
-
-_FUNCTIONS = {
-    "identity": lambda x: x,
-    "sigmoid": _sigmoid,
-    "steep_sigmoid": lambda x: _sigmoid(4.9 * x),
-    "tanh": torch.tanh,
-    "relu": torch.relu,
-}
-
-
-def _product(inputs: Tensor, weight: Tensor) -> Tensor:
-    """[networks, batch, outputs] from [networks, batch, inputs] and [networks, outputs, inputs].
-
-    Every network's matrices are padded to begin on a 64-byte border. Matrix products of the CPU
-    round differently with the alignment of their operands, so a network's outputs would depend on
-    its place in the population.
-    """
-    outputs, inner, outer = weight.shape[1], -weight.shape[2] % 16, -weight.shape[1] % 16
-    weight = nn.functional.pad(weight, (0, inner, 0, outer))
-    return torch.bmm(nn.functional.pad(inputs, (0, inner)), weight.mT)[..., :outputs]
+from neatq_torch.genome.genome import Genome
+from neatq_torch.network import compiled
+from neatq_torch.network.plan import Evaluation, GenomePlan, compile_genome
+from neatq_torch.network.population_plan import Plan
 
 
 class PopulationNetwork(nn.Module):
@@ -56,6 +26,11 @@ class PopulationNetwork(nn.Module):
     values of the call before: `step` takes and returns them, so a network is a pure function
     (observation, state) -> (output, state). Gradients do not flow into the calls before unless the
     caller keeps the state's graph.
+
+    Plain float32 tensors on the CPU are evaluated, and their gradients computed, by compiled code,
+    which takes seconds to compile at the first call on a machine. Any other dtype or device,
+    transforms (`torch.func`, `torch.export`, `torch.compile`) and gradients of gradients take
+    torch operations, which compute the same up to rounding.
 
     A hidden node or output without an incoming link has the value of its activation at 0.
 
@@ -97,7 +72,7 @@ class PopulationNetwork(nn.Module):
         self._plans = [compile_genome(genome, evaluation) for genome in genomes]
         for genome, plan in zip(genomes, self._plans, strict=True):
             self._check_interface(genome, plan)
-        self.plan = Plan(self._plans, Layout.union([p.need for p in self._plans]).with_slack())
+        self.plan = Plan(self._plans)
         self.weight = nn.Parameter(torch.zeros(len(genomes), self.plan.layout.columns))
         identities = torch.tensor([g.genome_id for g in genomes], dtype=torch.long)
         self.register_buffer("genome_id", identities.view(self.shape), persistent=False)
@@ -150,66 +125,27 @@ class PopulationNetwork(nn.Module):
         """
         self._check_observation(observation)
         batch = observation.shape[len(self.shape) : -1]
-        layout, networks = self.plan.layout, len(self._plans)
-        rows = observation.reshape(networks, math.prod(batch), layout.inputs)
-        inputs = torch.cat([rows, rows.new_ones(*rows.shape[:2], 1)], 2)
-        memory = state.reshape(networks, rows.shape[1], layout.state)
-        values = self._propagate(inputs, memory)
-        nodes = values[:, layout.first_hidden : -1]
-        final = self._activate(nodes, self.plan.activation)
-        output = (
-            final[:, layout.hidden :].transpose(1, 2).reshape(*self.shape, *batch, self.outputs)
-        )
-        if not layout.state:
+        if self.weight.shape != (len(self._plans), self.plan.layout.columns):
+            raise ValueError(
+                f"expected weights of shape {[len(self._plans), self.plan.layout.columns]}, "
+                f"got {list(self.weight.shape)}"
+            )
+        flat = len(self._plans), math.prod(batch)
+        observation = observation.reshape(*flat, self.inputs)
+        memory = state.reshape(*flat, self.state_size)
+        output, kept = self._evaluate(self.weight, observation, memory)
+        output = output.reshape(*self.shape, *batch, self.outputs)
+        if not self.state_size:
             return output, state
-        values = torch.cat([values[:, : layout.first_hidden], final, values[:, -1:]], 1)
-        kept = values.flatten(0, 1).index_select(0, self.plan.state_row)
-        kept = kept.view(networks, layout.state, rows.shape[1]).transpose(1, 2)
-        return output, kept.reshape(*self.shape, *batch, layout.state)
+        return output, kept.reshape(*self.shape, *batch, self.state_size)
 
-    def _propagate(self, inputs: Tensor, memory: Tensor) -> Tensor:
-        """Sums of all nodes, those that pass values on within the call activated.
-
-        Args:
-            inputs: Observations and bias [networks, batch, inputs + 1].
-            memory: State [networks, batch, state].
-
-        Returns:
-            Values of all places [networks, rows, batch].
-        """
-        layout = self.plan.layout
-        networks, batch = inputs.shape[:2]
-        dense = self.weight[:, : layout.dense] * self.plan.live
-        dense = dense.view(networks, layout.outputs, layout.inputs + 1)
-        sums = _product(inputs, dense)
-        zero = inputs.new_zeros(networks, max(layout.hidden, 1), batch)
-        values = torch.cat(
-            [
-                inputs.transpose(1, 2),
-                memory.transpose(1, 2),
-                zero[:, : layout.hidden],
-                sums.transpose(1, 2),
-                zero[:, :1],
-            ],
-            1,
-        )
-        flat, weight = values.view(-1, batch), self.weight.view(-1)
-        for level in self.plan.levels:
-            if len(level.node):
-                active = self._activate(flat.index_select(0, level.node), level.activation)
-                flat.index_copy_(0, level.node, active)
-            passed = flat.index_select(0, level.source)
-            passed = passed * weight.index_select(0, level.column).unsqueeze(1)
-            flat.index_add_(0, level.target, passed)
-        return values
-
-    def _activate(self, sums: Tensor, activation: Tensor) -> Tensor:
-        """Apply to each row of `sums` its own activation (`activation` broadcasts)."""
-        first, *others = self.plan.activations
-        result = _FUNCTIONS[ACTIVATIONS[first]](sums)
-        for code in others:
-            result = torch.where(activation == code, _FUNCTIONS[ACTIVATIONS[code]](sums), result)
-        return result
+    def _evaluate(
+        self, weight: Tensor, observation: Tensor, state: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Outputs and next state from weights [networks, columns] and flat batches."""
+        if compiled.serves(weight, observation, state):
+            return compiled.evaluate(self.plan, weight, observation, state)
+        return self.plan.levels(weight.device).evaluate(weight, observation, state)
 
     def genome(self, index: int) -> Genome:
         """The genome in place `index` (flat), with the weights that its network has now.
@@ -236,8 +172,8 @@ class PopulationNetwork(nn.Module):
     def replace(self, index: int, genome: Genome) -> None:
         """Put a genome in place `index` (flat). The other networks are not touched.
 
-        Costs the size of the genome, unless it needs more places than the plan has: then the plan
-        is laid out again with more room (and `weight` may get more columns, all of them zero).
+        Costs the size of the genome, unless it needs more room than the plan has: then every
+        network gets more (and `weight` more columns, all of them zero).
 
         Raises:
             ValueError: If its observations, inputs or outputs differ from the population's.
@@ -245,10 +181,11 @@ class PopulationNetwork(nn.Module):
         plan = compile_genome(genome, self.evaluation)
         self._check_interface(genome, plan)
         self._genomes[index], self._plans[index] = genome, plan
-        if self.plan.layout.holds(plan.need):
-            self.plan.write(index, plan)
-        else:
-            self._make_room()
+        self.plan.write(index, plan)
+        missing = self.plan.layout.columns - self.weight.shape[1]
+        if missing:
+            self.weight.data = nn.functional.pad(self.weight.data, (0, missing))
+            self.weight.grad = None
         self.genome_id.view(-1)[index] = genome.genome_id
         self._load_weights(index)
 
@@ -263,25 +200,6 @@ class PopulationNetwork(nn.Module):
         rows = torch.as_tensor(saved).to(self.weight)
         missing = self.weight.shape[1] - rows.shape[1]
         self.weight.copy_(nn.functional.pad(rows, (0, missing)))
-
-    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
-        super()._apply(fn, recurse)
-        self.plan.apply(fn)
-        return self
-
-    def _like_weight(self, tensor: Tensor) -> Tensor:
-        return tensor.to(self.weight if tensor.is_floating_point() else self.weight.device)
-
-    def _make_room(self) -> None:
-        """Lay the plan out anew. Weights keep their columns; new columns are zero."""
-        layout = Layout.union([plan.need for plan in self._plans]).with_slack()
-        layout = replace(layout, sparse=max(layout.sparse, self.plan.layout.sparse))
-        self.plan = Plan(self._plans, layout)
-        self.plan.apply(self._like_weight)
-        missing = layout.columns - self.weight.shape[1]
-        if missing > 0:
-            self.weight.data = nn.functional.pad(self.weight.data, (0, missing))
-            self.weight.grad = None
 
     @torch.no_grad()
     def _load_weights(self, index: int) -> None:

@@ -1,0 +1,189 @@
+"""Evaluation of a population by torch operations, for every device and every transform.
+
+The networks are one graph. It is evaluated level by level: a level adds all links into its nodes,
+then activates them. No step waits for the device, and none is a loop over networks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from neatq_torch.genome.genome import ACTIVATIONS
+from neatq_torch.network.plan import IDENTITY, Indices, Layout, Program
+
+
+def _sigmoid(x: Tensor) -> Tensor:
+    """The logistic function, with the same bits wherever a value stands in the tensor.
+
+    `torch.sigmoid` computes whole vectors in one way and the rest of a tensor in another, which
+    can differ in the last bit: a network's outputs would depend on what stands beside it.
+    """
+    return torch.tanh(0.5 * x) * 0.5 + 0.5
+
+
+_FUNCTIONS = {
+    "identity": lambda x: x,
+    "sigmoid": _sigmoid,
+    "steep_sigmoid": lambda x: _sigmoid(4.9 * x),
+    "tanh": torch.tanh,
+    "relu": torch.relu,
+}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Level:
+    """One level of all networks; rows and columns count through all networks.
+
+    Attributes:
+        source, target: Value rows of its links [links].
+        column: Weight places of its links [links].
+        node: Value rows that it activates [nodes].
+        activation: Their activations [nodes, 1].
+        activations: Those that occur.
+    """
+
+    source: Tensor
+    target: Tensor
+    column: Tensor
+    node: Tensor
+    activation: Tensor
+    activations: tuple[int, ...]
+
+    def activate(self, sums: Tensor) -> Tensor:
+        """Apply to each row of `sums` [nodes, batch] its own activation."""
+        first, *others = self.activations
+        result = _FUNCTIONS[ACTIVATIONS[first]](sums)
+        for code in others:
+            other = _FUNCTIONS[ACTIVATIONS[code]](sums)
+            result = torch.where(self.activation == code, other, result)
+        return result
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Levels:
+    """The evaluation order of a population as torch tensors on one device.
+
+    All networks have as many rows here: ``[ inputs | bias | outputs | state | hidden ]``, with the
+    largest state and the most hidden nodes of the population.
+
+    Attributes:
+        layout: Room of each network.
+        levels: In evaluation order.
+        live: Whether a link belongs to a dense column [networks, dense].
+        kept: Value rows that the states keep [values].
+        kept_place: Their places in the state [values].
+    """
+
+    layout: Layout
+    levels: tuple[Level, ...]
+    live: Tensor
+    kept: Tensor
+    kept_place: Tensor
+
+    @staticmethod
+    def build(program: Program, layout: Layout, device: torch.device) -> Levels:
+        """Sort a program's links and nodes into levels, for all networks at once."""
+
+        def tensor(values: np.ndarray) -> Tensor:
+            # Not torch.tensor: within torch.export that would be a part of the exported graph.
+            return torch.from_numpy(values).to(device)
+
+        network, place = _used(program.size[:, 0], layout.instructions)
+        first, rows, links, code, level = program.instruction[network, place].astype(np.int64).T
+        total = np.bincount(network, links, len(program.size)).astype(np.int64)
+        link_network, link = _used(total, layout.sparse)
+        source = _row(program, layout, link_network, program.source[link_network, link])
+        target = np.repeat(_row(program, layout, network, first), links)
+        column = link_network * layout.columns + layout.dense + link
+        link_level = np.repeat(level, links)
+
+        active = np.flatnonzero(code != IDENTITY)
+        node = np.repeat(active, rows[active])
+        within = np.arange(len(node)) - np.repeat(np.cumsum(rows[active]), rows[active])
+        row = first[node] + rows[node] + within
+        row = _row(program, layout, network[node], row)
+        levels = []
+        for number in np.union1d(link_level, level[active]):
+            here, nodes = np.flatnonzero(link_level == number), level[node] == number
+            levels.append(
+                Level(
+                    source=tensor(source[here]),
+                    target=tensor(target[here]),
+                    column=tensor(column[here]),
+                    node=tensor(row[nodes]),
+                    activation=tensor(code[node][nodes][:, None]),
+                    activations=tuple(np.unique(code[node][nodes]).tolist()),
+                )
+            )
+        network, place = _used(program.size[:, 1], layout.state)
+        return Levels(
+            layout=layout,
+            levels=tuple(levels),
+            live=tensor(program.live.copy()),
+            kept=tensor(_row(program, layout, network, program.kept[network, place])),
+            kept_place=tensor(network * layout.state + place),
+        )
+
+    def evaluate(self, weight: Tensor, observation: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Evaluate every network on its observations.
+
+        Args:
+            weight: [networks, columns].
+            observation: [networks, batch, inputs].
+            state: [networks, batch, state], from the call before.
+
+        Returns:
+            Outputs [networks, batch, outputs] and the state for the next call.
+        """
+        layout = self.layout
+        networks, batch = observation.shape[:2]
+        sensors = torch.cat([observation, observation.new_ones(networks, batch, 1)], 2)
+        dense = torch.where(self.live, weight[:, : layout.dense], 0)
+        sums = _product(sensors, dense.view(networks, layout.inputs + 1, layout.outputs))
+        hidden = observation.new_zeros(networks, batch, layout.hidden)
+        values = torch.cat([sensors, sums, state, hidden], 2).transpose(1, 2)
+        flat, places = values.reshape(-1, batch), weight.reshape(-1)
+        for level in self.levels:
+            if len(level.source):
+                passed = flat.index_select(0, level.source)
+                passed = passed * places.index_select(0, level.column).unsqueeze(1)
+                flat.index_add_(0, level.target, passed)
+            if len(level.node):
+                active = level.activate(flat.index_select(0, level.node))
+                flat.index_copy_(0, level.node, active)
+        values = flat.view(networks, layout.rows, batch).transpose(1, 2)
+        output = values[..., layout.inputs + 1 : layout.first_state]
+        if not layout.state:
+            return output, state
+        kept = flat.new_zeros(networks * layout.state, batch)
+        kept = kept.index_copy(0, self.kept_place, flat.index_select(0, self.kept))
+        return output, kept.view(networks, layout.state, batch).transpose(1, 2)
+
+
+def _used(sizes: Indices, width: int) -> tuple[Indices, Indices]:
+    """Network and place of each used place, where network n uses its first `sizes[n]`."""
+    network, place = np.nonzero(np.arange(width) < sizes[:, None])
+    return network, place
+
+
+def _row(program: Program, layout: Layout, network: Indices, row: Indices) -> Indices:
+    """Rows that count through all networks [n], from each network's own rows [n]."""
+    states = program.size[network, 1]
+    hidden = row >= layout.first_state + states
+    return network * layout.rows + row + np.where(hidden, layout.state - states, 0)
+
+
+def _product(inputs: Tensor, weight: Tensor) -> Tensor:
+    """[networks, batch, outputs] from [networks, batch, inputs] and [networks, inputs, outputs].
+
+    Every network's matrices are padded to begin on a 64-byte border. Matrix products of the CPU
+    round differently with the alignment of their operands, so a network's outputs would depend on
+    its place in the population.
+    """
+    outputs, inner, outer = weight.shape[2], -weight.shape[1] % 16, -weight.shape[2] % 16
+    weight = nn.functional.pad(weight, (0, outer, 0, inner))
+    return torch.bmm(nn.functional.pad(inputs, (0, inner)), weight)[..., :outputs]
