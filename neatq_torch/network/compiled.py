@@ -35,37 +35,53 @@ def serves(*tensors: Tensor) -> bool:
 def evaluate(
     plan: Plan, weight: Tensor, observation: Tensor, state: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Evaluate every network on its observations: what `Levels.evaluate` computes.
+    """Evaluate every network on its observations.
 
     Args:
         plan: The evaluation order.
         weight: [networks, columns].
-        observation: [networks, batch, inputs].
-        state: [networks, batch, state], from the call before.
+        observation: [..., inputs]; the leading dimensions are networks and batch, flat or not.
+        state: [..., state], from the call before.
 
     Returns:
-        Outputs [networks, batch, outputs] and the state for the next call.
+        Outputs [..., outputs] and the state for the next call: `state` itself if it is empty.
     """
     if torch.is_grad_enabled() and (
         weight.requires_grad or observation.requires_grad or state.requires_grad
     ):
-        return _Evaluate.apply(plan, weight, observation, state)
+        output, kept = _Evaluate.apply(plan, weight, observation, state)
+        return output, state if kept is None else kept
     return _forward(plan, weight, observation, state)
 
 
 def _forward(
     plan: Plan, weight: Tensor, observation: Tensor, state: Tensor
 ) -> tuple[Tensor, Tensor]:
-    networks, batch = observation.shape[:2]
-    output = observation.new_empty(networks, batch, plan.layout.outputs)
-    kept = state.new_empty(state.shape)
-    kernel = kernels.forward_one if batch == 1 else kernels.forward
-    arrays = kernels.Batch(*map(_array, (observation, state, output, kept)))
-    kernel(plan.program, plan.layout.rows, _array(weight), arrays)
+    layout = plan.layout
+    output = observation.new_empty((*observation.shape[:-1], layout.outputs))
+    kept = state.new_empty(state.shape) if layout.state else state
+    batch = _batch(plan, observation, state, output, kept)
+    kernel = kernels.forward_one if batch.output.shape[1] == 1 else kernels.forward
+    kernel(plan.program, layout.rows, _array(weight), batch)
     return output, kept
 
 
+def _batch(
+    plan: Plan, observation: Tensor, state: Tensor, output: Tensor, kept: Tensor
+) -> kernels.Batch:
+    layout, networks = plan.layout, len(plan.program.size)
+    size = output.numel() // (networks * layout.outputs)
+    memory = networks, size, layout.state
+    return kernels.Batch(
+        _array(observation).reshape(networks, size, layout.inputs),
+        _array(state).reshape(memory),
+        _array(output).reshape(networks, size, layout.outputs),
+        _array(kept).reshape(memory),
+    )
+
+
 def _array(tensor: Tensor) -> kernels.Floats:
+    """The memory of a tensor, or a copy if it is not contiguous."""
     return tensor.detach().contiguous().numpy()
 
 
@@ -75,47 +91,49 @@ class _Evaluate(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, plan: Plan, weight: Tensor, observation: Tensor, state: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor | None]:
         output, kept = _forward(plan, weight, observation, state)
         ctx.plan, ctx.version = plan, plan.version
         ctx.save_for_backward(weight, observation, state, output)
-        return output, kept
+        return output, kept if plan.layout.state else None
 
     @staticmethod
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
-        ctx: Any, output_gradient: Tensor, kept_gradient: Tensor
+        ctx: Any, output_gradient: Tensor, kept_gradient: Tensor | None
     ) -> tuple[Tensor | None, ...]:
         weight, observation, state, output = ctx.saved_tensors
-        if ctx.version != ctx.plan.version:
+        plan: Plan = ctx.plan
+        if ctx.version != plan.version:
             raise RuntimeError(
                 "a genome was replaced by an inplace operation between forward and backward"
             )
-        wanted, gradients = ctx.needs_input_grad[1:], (output_gradient, kept_gradient)
+        gradients = output_gradient, state if kept_gradient is None else kept_gradient
+        wanted = ctx.needs_input_grad[1:]
         if torch.is_grad_enabled() or not serves(*gradients):
-            return None, *_differentiable(ctx.plan, ctx.saved_tensors[:3], gradients, wanted)
+            return None, *_by_torch(plan, ctx.saved_tensors[:3], gradients, wanted)
         further = wanted[1] or wanted[2]
-        weight_gradient = weight.new_zeros(weight.shape)
-        into = [t.new_zeros(t.shape) if further else t for t in (observation, state)]
+        found = tuple(tensor.new_zeros(tensor.shape) for tensor in (weight, observation, state))
         kernels.backward(
-            ctx.plan.program,
-            ctx.plan.layout.rows,
+            plan.program,
+            plan.layout.rows,
             _array(weight),
-            kernels.Batch(*map(_array, (observation, state, output, state))),
-            _array(weight_gradient),
-            kernels.Batch(*map(_array, (*into, *gradients))),
+            _batch(plan, observation, state, output, state),
+            _array(found[0]),
+            _batch(plan, found[1], found[2], *gradients),
             further,
         )
-        found = weight_gradient, *into
         return None, *(g if want else None for g, want in zip(found, wanted, strict=True))
 
 
-def _differentiable(
+def _by_torch(
     plan: Plan, inputs: tuple[Tensor, ...], gradients: tuple[Tensor, ...], wanted: tuple[bool, ...]
 ) -> list[Tensor | None]:
     """The gradients of `inputs` by torch operations, which can be differentiated again."""
     graph = torch.is_grad_enabled()
     with torch.enable_grad():
         outputs = plan.levels(inputs[0].device).evaluate(*inputs)
+        if not plan.layout.state:
+            outputs, gradients = outputs[:1], gradients[:1]
         chosen = [tensor for tensor, want in zip(inputs, wanted, strict=True) if want]
         found = iter(
             torch.autograd.grad(outputs, chosen, gradients, create_graph=graph, allow_unused=True)

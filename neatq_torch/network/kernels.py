@@ -4,7 +4,8 @@ Values of one network are rows of a small scratch array, and one row holds the s
 `_BLOCK` observations, so inner loops run over observations. Every sum is in one fixed order, and
 products and sums are rounded one by one: results of an observation have the same bits whatever its
 batch, its place and its neighbours. Therefore there is no `fastmath` here, which would reorder
-sums and contract them.
+sums and contract them. `_dot` alone, which adds up observations for the gradient of a weight, is
+free to keep partial sums: their order is fixed by the number of observations.
 
 All functions stay in this one file: numba's cache on disk does not notice when a function that is
 called from another file has changed.
@@ -294,9 +295,9 @@ def forward(program: Program, rows: int, weight: Floats, batch: Batch) -> None:
                     kept[start + b, k] = values[program.kept[network, k], b]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", fastmath={"reassoc"})
 def _dot(left: Floats, right: Floats, n: int) -> np.float32:
-    """Sum of left * right over n observations, in their order."""
+    """Sum of left * right over n observations, in an order that depends on n alone."""
     total = _ZERO
     for b in range(n):
         total += left[b] * right[b]

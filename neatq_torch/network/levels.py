@@ -6,6 +6,7 @@ then activates them. No step waits for the device, and none is a loop over netwo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -133,19 +134,21 @@ class Levels:
 
         Args:
             weight: [networks, columns].
-            observation: [networks, batch, inputs].
-            state: [networks, batch, state], from the call before.
+            observation: [..., inputs]; the leading dimensions are networks and batch, flat or not.
+            state: [..., state], from the call before.
 
         Returns:
-            Outputs [networks, batch, outputs] and the state for the next call.
+            Outputs [..., outputs] and the state for the next call: `state` itself if it is empty.
         """
-        layout = self.layout
-        networks, batch = observation.shape[:2]
+        layout, networks, lead = self.layout, len(weight), observation.shape[:-1]
+        batch = math.prod(lead) // networks
+        observation = observation.reshape(networks, batch, layout.inputs)
+        memory = state.reshape(networks, batch, layout.state)
         sensors = torch.cat([observation, observation.new_ones(networks, batch, 1)], 2)
         dense = torch.where(self.live, weight[:, : layout.dense], 0)
         sums = _product(sensors, dense.view(networks, layout.inputs + 1, layout.outputs))
         hidden = observation.new_zeros(networks, batch, layout.hidden)
-        values = torch.cat([sensors, sums, state, hidden], 2).transpose(1, 2)
+        values = torch.cat([sensors, sums, memory, hidden], 2).transpose(1, 2)
         flat, places = values.reshape(-1, batch), weight.reshape(-1)
         for level in self.levels:
             if len(level.source):
@@ -156,12 +159,13 @@ class Levels:
                 active = level.activate(flat.index_select(0, level.node))
                 flat.index_copy_(0, level.node, active)
         values = flat.view(networks, layout.rows, batch).transpose(1, 2)
-        output = values[..., layout.inputs + 1 : layout.first_state]
+        output = values[..., layout.inputs + 1 : layout.first_state].reshape(*lead, layout.outputs)
         if not layout.state:
             return output, state
         kept = flat.new_zeros(networks * layout.state, batch)
         kept = kept.index_copy(0, self.kept_place, flat.index_select(0, self.kept))
-        return output, kept.view(networks, layout.state, batch).transpose(1, 2)
+        kept = kept.view(networks, layout.state, batch).transpose(1, 2)
+        return output, kept.reshape(*lead, layout.state)
 
 
 def _used(sizes: Indices, width: int) -> tuple[Indices, Indices]:

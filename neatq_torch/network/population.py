@@ -123,26 +123,8 @@ class PopulationNetwork(nn.Module):
         Raises:
             ValueError: If the observation's shape does not fit.
         """
-        self._check_observation(observation)
-        batch = observation.shape[len(self.shape) : -1]
-        if self.weight.shape != (len(self._plans), self.plan.layout.columns):
-            raise ValueError(
-                f"expected weights of shape {[len(self._plans), self.plan.layout.columns]}, "
-                f"got {list(self.weight.shape)}"
-            )
-        flat = len(self._plans), math.prod(batch)
-        observation = observation.reshape(*flat, self.inputs)
-        memory = state.reshape(*flat, self.state_size)
-        output, kept = self._evaluate(self.weight, observation, memory)
-        output = output.reshape(*self.shape, *batch, self.outputs)
-        if not self.state_size:
-            return output, state
-        return output, kept.reshape(*self.shape, *batch, self.state_size)
-
-    def _evaluate(
-        self, weight: Tensor, observation: Tensor, state: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Outputs and next state from weights [networks, columns] and flat batches."""
+        weight = self.weight
+        self._check_shapes(weight, observation)
         if compiled.serves(weight, observation, state):
             return compiled.evaluate(self.plan, weight, observation, state)
         return self.plan.levels(weight.device).evaluate(weight, observation, state)
@@ -224,10 +206,14 @@ class PopulationNetwork(nn.Module):
                 f"{genome.observation_schema!r}; the population's networks read {schema!r}"
             )
 
-    def _check_observation(self, observation: Tensor) -> None:
-        lead = len(self.shape)
-        if observation.shape[:lead] != self.shape or observation.shape[-1] != self.inputs:
+    def _check_shapes(self, weight: Tensor, observation: Tensor) -> None:
+        shape, lead, layout = observation.shape, len(self.shape), self.plan.layout
+        if shape[:lead] != self.shape or shape[-1] != layout.inputs:
             raise ValueError(
                 f"expected an observation of shape [{', '.join(map(str, self.shape))}, *batch, "
-                f"{self.inputs}], got {list(observation.shape)}"
+                f"{layout.inputs}], got {list(shape)}"
+            )
+        if weight.shape != (expected := (len(self._plans), layout.columns)):
+            raise ValueError(
+                f"expected weights of shape {list(expected)}, got {list(weight.shape)}"
             )
