@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,9 +10,10 @@ import numpy as np
 
 from neatq_envs.flags import Flags
 from neatq_envs.physics import Physics
-from neatq_envs.rewards import Rewards, flag_distance_squared
+from neatq_envs.rewards import Rewards, flag_distance
 from neatq_envs.scenario import REWARD_DIMENSIONS, Scenario, ScenarioError
 from neatq_envs.sensors import IGNORE_ABOVE, Senses
+from neatq_envs.steering import directions, steer
 
 # Streams of random numbers of one arena: [seed, stream]. Flags have their own, so that their
 # places do not depend on how often robots respawn.
@@ -51,7 +51,9 @@ class Arena:
         self.seeds = tuple(int(seed) for seed in seeds)
         self._senses, self._rewards = Senses(scenario), Rewards(scenario)
         self.schema = self._senses.schema
-        self._low, self._high = self.schema.action_bounds(scenario)
+        # The bounds are single precision, as the actions of networks are.
+        low, high = self.schema.action_bounds(scenario)
+        self._bounds = low.astype(np.float64), high.astype(np.float64)
         self._physics = Physics(scenario, len(seeds))
         self._spawn_generators = [np.random.default_rng([s, _SPAWN_STREAM]) for s in self.seeds]
         self._flag_generators = [np.random.default_rng([s, _FLAG_STREAM]) for s in self.seeds]
@@ -92,7 +94,7 @@ class Arena:
         self.age_ticks = np.zeros(self.shape, dtype=np.int64)
         self.reward = np.zeros(self.shape)
         self.reward_vector = np.zeros((*self.shape, len(REWARD_DIMENSIONS)))
-        self.distance = np.sqrt(flag_distance_squared(self.position, self.flag))
+        self.distance = flag_distance(self.position, self.flag)
         self.observation = self._sense()
 
     def respawn(self, mask: np.ndarray) -> None:
@@ -110,7 +112,7 @@ class Arena:
         self.age_ticks = np.where(mask, 0, self.age_ticks)
         self.reward = np.where(mask, 0.0, self.reward)
         self.reward_vector = np.where(mask[..., None], 0.0, self.reward_vector)
-        self.distance = np.sqrt(flag_distance_squared(self.position, self.flag))
+        self.distance = flag_distance(self.position, self.flag)
         fresh = self._sense()
         self.observation = np.where(mask[..., None], fresh, self.observation)
 
@@ -125,23 +127,20 @@ class Arena:
             ValueError: of a wrong shape, or naming the robot whose action is not finite.
         """
         actions = self._checked(actions)
-        speed = actions[..., 0]
-        self.heading_rad = wrap_rad(self.heading_rad + actions[..., 1])
-        before = self.distance
-        velocity = np.empty((*self.shape, 2))
-        np.multiply(speed, np.cos(self.heading_rad), out=velocity[..., 0])
-        np.multiply(speed, np.sin(self.heading_rad), out=velocity[..., 1])
-        self._physics.move(velocity)
-        position = self.position
-        self.distance = np.sqrt(flag_distance_squared(position, self.flag))
-        self.reward_vector = self._rewards.vector(speed, position, self.flag)
-        self.reward = self._rewards.learning(self.reward_vector, before, self.distance)
+        finite, heading_rad, speed = steer(actions, self.heading_rad, *self._bounds)
+        if not finite:
+            raise self._not_finite(actions)
+        self.heading_rad, ahead = heading_rad, directions(heading_rad)
+        self._physics.move(speed[..., None] * ahead)
+        self.reward_vector, self.reward, self.distance = self._rewards.after_move(
+            speed, self.position, self.flag, before=self.distance
+        )
         self.age_ticks = self.age_ticks + 1
         self.tick += 1
         if self._flags.update(self.tick):
-            self.distance = np.sqrt(flag_distance_squared(position, self.flag))
+            self.distance = flag_distance(self.position, self.flag)
         ignore = actions[..., 3] > IGNORE_ABOVE if actions.shape[-1] > 3 else None
-        self.observation = self._sense(ignore)
+        self.observation = self._senses.sense(self.position, ahead, self.flag, ignore)
 
     def rebuild(self) -> None:
         """Build the physics anew from the arrays.
@@ -188,25 +187,25 @@ class Arena:
         _restore(self._flag_generators, state["flag_generators"])
         self._physics.rebuild(np.array(state["place"]), np.array(state["velocity"]))
 
-    def _sense(self, ignore: np.ndarray | None = None) -> np.ndarray:
-        return self._senses.sense(self.position, self.heading_rad, self.flag, ignore)
+    def _sense(self) -> np.ndarray:
+        return self._senses.sense(self.position, directions(self.heading_rad), self.flag)
 
     def _checked(self, actions: np.ndarray) -> np.ndarray:
-        wanted = (*self.shape, len(self._low))
+        """Return actions of the right shape as a new float64 array."""
+        wanted = (*self.shape, len(self.schema.actions))
         if actions.shape != wanted:
             raise ValueError(
                 f"actions: expected [arenas, robots, actions] = {list(wanted)}, "
                 f"got {list(actions.shape)}"
             )
-        # The bounds are single precision, as the actions of networks are.
-        clipped = np.minimum(np.maximum(actions, self._low), self._high).astype(np.float64)
-        if not math.isfinite(clipped.sum()) or np.isinf(actions).any():
-            arena, robot, action = np.argwhere(~np.isfinite(actions))[0].tolist()
-            raise ValueError(
-                f"action {self.schema.actions[action]} of robot {robot} in arena {arena} is "
-                f"{actions[arena, robot, action]}; expected a finite number"
-            )
-        return clipped
+        return np.array(actions, dtype=np.float64, order="C")
+
+    def _not_finite(self, actions: np.ndarray) -> ValueError:
+        arena, robot, action = np.argwhere(~np.isfinite(actions))[0].tolist()
+        return ValueError(
+            f"action {self.schema.actions[action]} of robot {robot} in arena {arena} is "
+            f"{actions[arena, robot, action]}; expected a finite number"
+        )
 
     def _draw_spawns(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return places [arenas, robots, 2] and headings [arenas, robots], drawn where masked."""
@@ -218,13 +217,8 @@ class Arena:
             offset = rng.integers(-jitter, np.maximum(jitter, 1), size=(len(robots), 2))
             place[arena, robots] = self._spawn_centres[spawn] + offset
             heading[arena, robots] = np.radians(rng.integers(0, 360, size=len(robots)))
-        return place, wrap_rad(heading)
-
-
-def wrap_rad(angle: np.ndarray) -> np.ndarray:
-    """Return angles wrapped to (-pi, pi]; those less than one turn away lose no precision."""
-    angle = np.where(angle > np.pi, angle - 2 * np.pi, angle)
-    return np.where(angle <= -np.pi, angle + 2 * np.pi, angle)
+        heading = np.where(heading > np.pi, heading - 2 * np.pi, heading)
+        return place, heading
 
 
 def _states(generators: Sequence[np.random.Generator]) -> list[dict[str, Any]]:

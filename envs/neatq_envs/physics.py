@@ -9,82 +9,108 @@ P + V, so the wished velocity acts without a tick of lag.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import pymunk
+from numba import njit
 from pymunk import batch
 
+from neatq_envs.rays import barriers, ray_distances
 from neatq_envs.scenario import BORDER_INSET, Scenario
-from neatq_envs.walls import Wall, ray_distance
+from neatq_envs.walls import Wall
 
 # What robots of one Space cost when heaped up grows with the square of their number, even if
 # they pass through each other; those that do not meet may be dealt into several Spaces.
-ROBOTS_PER_SPACE = 50
+ROBOTS_PER_SPACE = 25
 BORDER_THICKNESS = 60.0
 COLLISION_BIAS = 0.9
 _ROBOT = 0b01
 _WALL = 0b10
 # Getting may write past the last row when a buffer is exactly full.
 _SPARE_ROWS = 2
+_FORCE = batch.BodyFields.FORCE
+_MOTION = batch.BodyFields.POSITION | batch.BodyFields.VELOCITY
+_AHEAD = np.array([[1.0, 0.0]])
 
 
-class BodyIO:
-    """Forces into and positions and velocities out of all bodies of one Space at once.
+class Room:
+    """One Space: the walls of the field and some robots in it.
 
-    pymunk's batch functions know no bounds: rows are all dynamic bodies in the order in which
-    they were added, then the static body, so no body is ever removed. A `batch.Buffer` is never
-    freed, so each is kept for ever and over rebuilds of its Space.
+    pymunk's batch functions read and write all bodies of a Space at once. They know no bounds:
+    their rows are all dynamic bodies in the order in which they were added, then the static
+    body, so no body is ever removed from a Space in use. A `batch.Buffer` is never freed, so
+    each is kept for ever.
 
     Args:
-        force: float64 [bodies + 1 or more, 2], contiguous; the row of the static body stays 0.
-        motion: float64 [bodies + 1 + spare or more, 4], contiguous: x, y and velocity.
+        scenario: gives the walls and the size of robots.
+        robots: how many.
+        force: float64 [robots + 1 or more, 2], contiguous; the row of the static body stays 0.
+        motion: float64 [robots + 1 + spare or more, 4], contiguous: x, y and velocity.
     """
 
-    def __init__(self, force: np.ndarray, motion: np.ndarray) -> None:
+    def __init__(
+        self, scenario: Scenario, robots: int, force: np.ndarray, motion: np.ndarray
+    ) -> None:
+        ground = pymunk.Body(body_type=pymunk.Body.STATIC)
+        walls = (*border_walls(scenario), *scenario.walls)
+        self.bodies = [pymunk.Body(mass=1.0, moment=math.inf) for _ in range(robots)]
+        circles = (_circle(body, scenario) for body in self.bodies)
+        # Bodies refer to their shapes; what a Space holds stays alive with this tuple.
+        self._parts = ground, *self.bodies, *(wall_box(ground, w) for w in walls), *circles
         self._force, self._motion = batch.Buffer(), batch.Buffer()
         self._force.set_float_buf(force)
         self._motion.set_float_buf(motion)
+        self.space = pymunk.Space()
 
-    def push(self, space: pymunk.Space) -> None:
-        """Set the forces of all bodies."""
-        batch.set_space_bodies(space, batch.BodyFields.FORCE, self._force)
+    def rebuild(self, place: np.ndarray, velocity: np.ndarray) -> None:
+        """Put the walls and robots into a new Space, from arrays [robots, 2]."""
+        self.space.remove(*self.space.shapes, *self.space.bodies)
+        for body, where, speed in zip(self.bodies, place.tolist(), velocity.tolist(), strict=True):
+            # The push out of a contact waits in the body for its next update.
+            pymunk.Body.update_position(body, 0.0)
+            body.position, body.velocity = tuple(where), tuple(speed)
+        self.space = pymunk.Space()
+        # pymunk's default belongs to steps of 1/60: at one tick it throws crowds through walls.
+        self.space.collision_bias = COLLISION_BIAS
+        self.space.add(*self._parts)
 
-    def pull(self, space: pymunk.Space) -> None:
-        """Read positions and velocities of all bodies."""
+    def step(self) -> None:
+        """Let one tick pass under the forces; then read positions and velocities."""
+        batch.set_space_bodies(self.space, _FORCE, self._force)
+        self.space.step(1.0)
         self._motion.clear()
-        fields = batch.BodyFields.POSITION | batch.BodyFields.VELOCITY
-        batch.get_space_bodies(space, fields, self._motion)
+        batch.get_space_bodies(self.space, _MOTION, self._motion)
 
 
 class Physics:
-    """The bodies of all arenas, each arena in Spaces of its own.
+    """The bodies of all arenas, each arena in rooms of its own.
 
     Attributes:
         place: float64 [arenas, robots, 2], where the bodies are.
         velocity: float64 [arenas, robots, 2], units per tick, after contacts were solved.
+        position: float64 [arenas, robots, 2], where the bodies are about to be.
     """
 
     def __init__(self, scenario: Scenario, arenas: int) -> None:
         self._scenario = scenario
         robots = scenario.robots
-        spaces = 1 if scenario.collide else math.ceil(robots / ROBOTS_PER_SPACE)
-        self._size = math.ceil(robots / spaces)
+        rooms = 1 if scenario.collide else math.ceil(robots / ROBOTS_PER_SPACE)
+        self._size = math.ceil(robots / rooms)
+        self._blocks = [
+            slice(start, min(start + self._size, robots)) for start in range(0, robots, self._size)
+        ]
         rows = self._size + 1 + _SPARE_ROWS
-        self._force = np.zeros((arenas, spaces, rows, 2))
-        self._motion = np.zeros((arenas, spaces, rows, 4))
-        self._io = [
-            [BodyIO(self._force[a, s], self._motion[a, s]) for s in range(spaces)]
+        self._force = np.zeros((arenas, rooms, rows, 2))
+        self._motion = np.zeros((arenas, rooms, rows, 4))
+        self.rooms = [
+            [
+                Room(scenario, block.stop - block.start, self._force[a, r], self._motion[a, r])
+                for r, block in enumerate(self._blocks)
+            ]
             for a in range(arenas)
         ]
-        self._spaces: list[list[tuple[pymunk.Space, list[pymunk.Body]]]] = []
-        self.place = np.zeros((arenas, robots, 2))
-        self.velocity = np.zeros((arenas, robots, 2))
-
-    @property
-    def position(self) -> np.ndarray:
-        """Where the bodies are about to be, float64 [arenas, robots, 2]."""
-        return self.place + self.velocity
+        self._barriers = barriers(scenario.walls, scenario.width, scenario.height, BORDER_INSET)
+        self._hold(np.zeros((arenas, robots, 2)), np.zeros((arenas, robots, 2)))
 
     def rebuild(self, place: np.ndarray, velocity: np.ndarray) -> None:
         """Build all Spaces anew from arrays [arenas, robots, 2].
@@ -92,107 +118,96 @@ class Physics:
         A Space also holds contacts that no array shows. Two runs continue alike from the same
         arrays only if both build their Spaces anew at that moment.
         """
-        self.place, self.velocity = place.copy(), velocity.copy()
-        self._spaces = [
-            [
-                self._build_space(place[arena, block], velocity[arena, block])
-                for block in self._blocks()
-            ]
-            for arena in range(len(place))
-        ]
+        self._hold(place.copy(), velocity.copy())
+        for arena, rooms in enumerate(self.rooms):
+            for room, block in zip(rooms, self._blocks, strict=True):
+                room.rebuild(place[arena, block], velocity[arena, block])
 
     def move(self, velocity: np.ndarray) -> None:
         """Let one tick pass in which each body wishes a velocity [arenas, robots, 2]."""
         before = self.position
-        push = velocity - self.velocity  # mass 1, step 1: force = change of velocity
-        for index, block in enumerate(self._blocks()):
-            size = block.stop - block.start
-            self._force[:, index, :size] = push[:, block]
-        for spaces, ios in zip(self._spaces, self._io, strict=True):
-            for (space, _), io in zip(spaces, ios, strict=True):
-                io.push(space)
-                space.step(1.0)
-                io.pull(space)
-        motion = self._motion[:, :, : self._size].reshape(len(push), -1, 4)[:, : push.shape[1]]
-        self.place, self.velocity = motion[..., :2].copy(), motion[..., 2:].copy()
+        _write_forces(self._force, self._size, velocity, self.velocity)
+        for rooms in self.rooms:
+            for room in rooms:
+                room.step()
+        self._hold(*_read_motion(self._motion, self._size, velocity.shape[1]))
         if self._scenario.collide:
             self._hold_back(before)
 
     def teleport(self, mask: np.ndarray, place: np.ndarray) -> None:
         """Put the bodies of `mask` [arenas, robots] at rest at `place` [arenas, robots, 2]."""
-        self.place = np.where(mask[..., None], place, self.place)
-        self.velocity = np.where(mask[..., None], 0.0, self.velocity)
+        where = mask[..., None]
+        self._hold(np.where(where, place, self.place), np.where(where, 0.0, self.velocity))
         for arena, robot in np.argwhere(mask).tolist():
-            body = self._spaces[arena][robot // self._size][1][robot % self._size]
+            body = self.rooms[arena][robot // self._size].bodies[robot % self._size]
             body.position = tuple(place[arena, robot].tolist())
             body.velocity = (0.0, 0.0)
 
+    def _hold(self, place: np.ndarray, velocity: np.ndarray) -> None:
+        self.place, self.velocity = place, velocity
+        self.position = place + velocity
+
     def _hold_back(self, before: np.ndarray) -> None:
         """Undo the tick of bodies whose centre was pressed into or through a wall by others."""
-        now = self.position
-        x, y = before[..., 0], before[..., 1]
-        way_x, way_y = now[..., 0] - x, now[..., 1] - y
-        low, high = BORDER_INSET, (self._scenario.width, self._scenario.height)
-        outside = (now <= low) | (now >= np.array(high) - low)
-        lost = outside[..., 0] | outside[..., 1]
-        for wall in self._scenario.walls:
-            lost |= ray_distance(x, y, way_x, way_y, wall) <= 1.0
+        way = self.position - before
+        lost = ray_distances(before, way, _AHEAD, 1.0, self._barriers)[..., 0] <= 1.0
         if lost.any():
             self.teleport(lost, before)
 
-    def _blocks(self) -> Iterator[slice]:
-        robots = self._scenario.robots
-        for start in range(0, robots, self._size):
-            yield slice(start, min(start + self._size, robots))
 
-    def _build_space(
-        self, place: np.ndarray, velocity: np.ndarray
-    ) -> tuple[pymunk.Space, list[pymunk.Body]]:
-        space = pymunk.Space()
-        # pymunk's default belongs to steps of 1/60: at one tick it throws crowds through walls.
-        space.collision_bias = COLLISION_BIAS
-        walls = ShapeMaker(space.static_body)
-        space.add(
-            *(walls.box(wall) for wall in (*border_walls(self._scenario), *self._scenario.walls))
-        )
-        bodies = []
-        for where, speed in zip(place.tolist(), velocity.tolist(), strict=True):
-            body = pymunk.Body(mass=1.0, moment=math.inf)
-            body.position, body.velocity = tuple(where), tuple(speed)
-            space.add(body, self._circle(body))
-            bodies.append(body)
-        return space, bodies
+@njit(cache=True)
+def _write_forces(force: np.ndarray, size: int, wished: np.ndarray, velocity: np.ndarray) -> None:
+    """Write the forces that change velocities [arenas, robots, 2] into the wished ones.
 
-    def _circle(self, body: pymunk.Body) -> pymunk.Circle:
-        circle = pymunk.Circle(body, self._scenario.robot_radius)
-        circle.friction = 0.0
-        mask = _WALL | _ROBOT if self._scenario.collide else _WALL
-        circle.filter = pymunk.ShapeFilter(categories=_ROBOT, mask=mask)
-        return circle
+    Args:
+        force: float64 [arenas, rooms, rows, 2].
+        size: robots in a room.
+        wished: float64 [arenas, robots, 2], units per tick.
+        velocity: likewise.
+    """
+    for arena in range(len(wished)):
+        for robot in range(len(wished[arena])):
+            for axis in range(2):  # mass 1, step 1: force = change of velocity
+                change = wished[arena, robot, axis] - velocity[arena, robot, axis]
+                force[arena, robot // size, robot % size, axis] = change
 
 
-class ShapeMaker:
-    """Makes the shapes of walls on one static body."""
+@njit(cache=True)
+def _read_motion(motion: np.ndarray, size: int, robots: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return places and velocities, float64 [arenas, robots, 2], of [arenas, rooms, rows, 4]."""
+    place, velocity = np.empty((len(motion), robots, 2)), np.empty((len(motion), robots, 2))
+    for arena in range(len(motion)):
+        for robot in range(robots):
+            for axis in range(2):
+                place[arena, robot, axis] = motion[arena, robot // size, robot % size, axis]
+                velocity[arena, robot, axis] = motion[arena, robot // size, robot % size, axis + 2]
+    return place, velocity
 
-    def __init__(self, body: pymunk.Body) -> None:
-        self._body = body
 
-    def box(self, wall: Wall) -> pymunk.Poly:
-        """Return the box of a wall."""
-        turn = pymunk.Transform(
-            a=math.cos(wall.angle_rad),
-            b=math.sin(wall.angle_rad),
-            c=-math.sin(wall.angle_rad),
-            d=math.cos(wall.angle_rad),
-            tx=wall.x,
-            ty=wall.y,
-        )
-        half_x, half_y = wall.width / 2, wall.height / 2
-        corners = [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
-        shape = pymunk.Poly(self._body, corners, transform=turn)
-        shape.friction = 0.0
-        shape.filter = pymunk.ShapeFilter(categories=_WALL)
-        return shape
+def _circle(body: pymunk.Body, scenario: Scenario) -> pymunk.Circle:
+    circle = pymunk.Circle(body, scenario.robot_radius)
+    circle.friction = 0.0
+    mask = _WALL | _ROBOT if scenario.collide else _WALL
+    circle.filter = pymunk.ShapeFilter(categories=_ROBOT, mask=mask)
+    return circle
+
+
+def wall_box(body: pymunk.Body, wall: Wall) -> pymunk.Poly:
+    """Return the shape of a wall on a static body."""
+    turn = pymunk.Transform(
+        a=math.cos(wall.angle_rad),
+        b=math.sin(wall.angle_rad),
+        c=-math.sin(wall.angle_rad),
+        d=math.cos(wall.angle_rad),
+        tx=wall.x,
+        ty=wall.y,
+    )
+    half_x, half_y = wall.width / 2, wall.height / 2
+    corners = [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
+    shape = pymunk.Poly(body, corners, transform=turn)
+    shape.friction = 0.0
+    shape.filter = pymunk.ShapeFilter(categories=_WALL)
+    return shape
 
 
 def border_walls(scenario: Scenario) -> tuple[Wall, ...]:

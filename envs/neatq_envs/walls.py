@@ -37,26 +37,3 @@ def box_distance(x: np.ndarray, y: np.ndarray, wall: Wall) -> np.ndarray:
     across = np.abs(cosine * dy - sine * dx) - wall.height / 2
     outside = np.hypot(np.maximum(along, 0), np.maximum(across, 0))
     return outside + np.minimum(np.maximum(along, across), 0)
-
-
-def ray_distance(
-    x: np.ndarray, y: np.ndarray, ray_x: np.ndarray, ray_y: np.ndarray, wall: Wall
-) -> np.ndarray:
-    """Return how far along each ray a box is met, infinite if it is missed; 0 from inside.
-
-    By slabs (Kay & Kajiya 1986). The unit is the length of the ray vector (ray_x, ray_y).
-    """
-    cosine, sine = math.cos(wall.angle_rad), math.sin(wall.angle_rad)
-    dx, dy = x - wall.x, y - wall.y
-    enter, leave = _slab(cosine * dx + sine * dy, cosine * ray_x + sine * ray_y, wall.width / 2)
-    near, far = _slab(cosine * dy - sine * dx, cosine * ray_y - sine * ray_x, wall.height / 2)
-    enter, leave = np.maximum(enter, near), np.minimum(leave, far)
-    return np.where((enter <= leave) & (leave >= 0), np.maximum(enter, 0.0), np.inf)
-
-
-def _slab(place: np.ndarray, ray: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return where a ray enters and leaves the slab -half..half."""
-    # A ray along the slab never crosses it: a tiny component puts the crossings far away.
-    inverse = 1.0 / np.where(np.abs(ray) < 1e-12, 1e-12, ray)
-    centre, reach = -place * inverse, half * np.abs(inverse)
-    return centre - reach, centre + reach

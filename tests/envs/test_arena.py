@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neatq_envs.arena import Arena, wrap_rad
+from neatq_envs.arena import Arena
 from neatq_envs.checks import ScenarioError
 from neatq_envs.scenario import TASKS, FlagSchedule, Scenario, Spawn, Wall
 
@@ -38,13 +38,17 @@ def test_actions_are_clipped_to_physical_bounds() -> None:
     place, heading = arena.position, arena.heading_rad
     arena.step(np.tile([-9.0, 9.0], (1, 5, 1)))
     assert np.hypot(*(arena.position - place)[0].T) == pytest.approx(np.ones(5))
-    assert wrap_rad(arena.heading_rad - heading) == pytest.approx(np.full((1, 5), 0.2))
+    turned = (arena.heading_rad - heading) % (2 * np.pi)
+    assert turned == pytest.approx(np.full((1, 5), 0.2))
 
 
 def test_headings_wrap() -> None:
-    assert wrap_rad(np.array([3.2, -3.2, np.pi, 1.0])) == pytest.approx(
-        [3.2 - 2 * np.pi, 2 * np.pi - 3.2, np.pi, 1.0]
-    )
+    arena = Arena(SMALL.replaced(max_turn_rad=np.pi), [0])
+    for turn in (3.0, 3.0, -3.0, -2.0, -2.5):
+        expected = arena.heading_rad + turn
+        arena.step(np.tile([0.0, turn], (1, 5, 1)))
+        assert np.cos(arena.heading_rad - expected) == pytest.approx(np.ones((1, 5)))
+        assert (arena.heading_rad > -np.pi).all() and (arena.heading_rad <= np.pi).all()
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -52,8 +56,10 @@ def test_an_action_that_is_not_finite_is_refused_by_name(value: float) -> None:
     arena = Arena(SMALL, [0, 1])
     actions = still(arena)
     actions[1, 3, 1] = value
+    heading = arena.heading_rad
     with pytest.raises(ValueError, match="action turn of robot 3 in arena 1"):
         arena.step(actions)
+    assert arena.tick == 0 and (arena.heading_rad == heading).all()
 
 
 def test_wrong_shapes_are_refused() -> None:

@@ -9,7 +9,7 @@ import pymunk
 import pytest
 
 from neatq_envs.arena import Arena
-from neatq_envs.physics import BodyIO, Physics
+from neatq_envs.physics import Physics
 from neatq_envs.scenario import TASKS, Scenario, Spawn
 from neatq_envs.walls import Wall, box_distance
 
@@ -118,24 +118,23 @@ def test_a_crowd_that_collides_never_enters_or_passes_a_thin_wall(speed: float) 
 def test_batches_of_bodies_equal_the_attributes_of_bodies(to_flag: Drive) -> None:
     arena = Arena(TASKS["wall"].replaced(collide=True), [3])
     physics = arena._physics
-    space, bodies = physics._spaces[0][0]
-    for _ in range(150):
+    room = physics.rooms[0][0]
+    (ground,) = (body for body in room.space.bodies if body.body_type == pymunk.Body.STATIC)
+    for tick in range(150):
         arena.step(to_flag(arena))
-        assert np.array([body.position for body in bodies]).tolist() == physics.place[0].tolist()
-        speeds = np.array([body.velocity for body in bodies])
+        places = np.array([body.position for body in room.bodies])
+        speeds = np.array([body.velocity for body in room.bodies])
+        assert places.tolist() == physics.place[0].tolist()
         assert speeds.tolist() == physics.velocity[0].tolist()
-    force = np.zeros((53, 2))
-    force[:50] = np.arange(100.0).reshape(50, 2)
-    BodyIO(force, np.zeros((53, 4))).push(space)
-    assert np.array([body.force for body in bodies]).tolist() == force[:50].tolist()
-    assert space.static_body.force == pymunk.Vec2d(0, 0)
-    assert space.static_body.velocity == pymunk.Vec2d(0, 0)
+        assert ground.velocity == ground.position == pymunk.Vec2d(0, 0)
+        if tick % 40 == 0:
+            arena.rebuild()
 
 
-def test_many_robots_that_pass_through_share_several_spaces(to_flag: Drive) -> None:
-    # 120 robots make 3 spaces; each robot moves as if it were alone.
+def test_many_robots_that_pass_through_share_several_spaces() -> None:
+    # 121 robots make 5 rooms; each robot moves as if it were alone.
     arena = Arena(TASKS["flag"].replaced(robots=121), [0])
-    assert [len(bodies) for _, bodies in arena._physics._spaces[0]] == [41, 41, 39]
+    assert [len(room.bodies) for room in arena._physics.rooms[0]] == [25, 25, 25, 25, 21]
     start = arena.position
     for _ in range(10):
         arena.step(np.concatenate([np.ones((1, 121, 1)), np.zeros((1, 121, 1))], -1))

@@ -10,17 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from neatq_envs.physics import ShapeMaker, border_walls
+from neatq_envs.physics import border_walls, wall_box
+from neatq_envs.rays import barriers, ray_distances
 from neatq_envs.scenario import TASKS, Scenario
-from neatq_envs.sensors import (
-    RAY_ANGLES_RAD,
-    SCHEMAS,
-    Senses,
-    flag_radar,
-    friend_senses,
-    nearest_friend_squared,
-    wall_rays,
-)
+from neatq_envs.sensors import RAY_ANGLES_RAD, RAY_LENGTH, SCHEMAS, Senses
+from neatq_envs.steering import directions
 from neatq_envs.walls import Wall
 
 
@@ -32,17 +26,14 @@ def sense(
 ) -> np.ndarray:
     """Return the observations [robots, observations] of robots at (x, y, heading degrees)."""
     poses = np.array([places], dtype=float)
-    senses = Senses(task)
-    return senses.sense(
-        poses[..., :2], np.radians(poses[..., 2]), np.array([flag], dtype=float), ignore
-    )[0]
+    place, ahead = poses[..., :2].copy(), directions(np.radians(poses[..., 2]))
+    return Senses(task).sense(place, ahead, np.array([flag], dtype=float), ignore)[0]
 
 
 def radar(angle_deg: float, distance: float = 60.0) -> list[float]:
     angle = math.radians(angle_deg)
-    flag = np.array([[distance * math.cos(angle), distance * math.sin(angle)]])
-    zero, one = np.zeros((1, 1)), np.ones((1, 1))
-    return flag_radar(zero, zero, one, zero, flag)[0, 0].tolist()
+    flag = (400 + distance * math.cos(angle), 400 + distance * math.sin(angle))
+    return sense([(400.0, 400.0, 0.0)], flag)[0, 5:10].tolist()
 
 
 def test_the_tables_of_indices() -> None:
@@ -140,45 +131,40 @@ def test_the_original_order_and_its_dead_inputs() -> None:
     size=st.tuples(st.floats(1, 120), st.floats(1, 120)),
 )
 @settings(max_examples=30, deadline=None)
-def test_wall_rays_equal_the_ray_queries_of_pymunk(
+def test_rays_equal_the_ray_queries_of_pymunk(
     seed: int, angle_rad: float, size: tuple[float, float]
 ) -> None:
     rng = np.random.default_rng(seed)
     wall = Wall(x=60, y=60, width=size[0], height=size[1], angle_rad=angle_rad)
     space = pymunk.Space()
-    shapes = ShapeMaker(space.static_body)
-    space.add(*(shapes.box(box) for box in (*border_walls(TASKS["flag"]), wall)))
+    space.add(*(wall_box(space.static_body, box) for box in (*border_walls(TASKS["flag"]), wall)))
     place = rng.uniform(10, 140, size=(1, 20, 2))
     heading = rng.uniform(-np.pi, np.pi, size=(1, 20))
-    values = wall_rays(
-        place[..., 0], place[..., 1], np.cos(heading), np.sin(heading), (798.0, 798.0), (wall,)
-    )
+    turns = directions(np.array([RAY_ANGLES_RAD]))[0]
+    around = barriers([wall], 800.0, 800.0, 2.0)
+    distances = ray_distances(place, directions(heading), turns, RAY_LENGTH, around)
     for robot in range(20):
         x, y = place[0, robot]
-        if space.point_query_nearest((x, y), 0.01, pymunk.ShapeFilter()) is not None:
-            continue  # queries from inside a shape mean something else
+        nearest = space.point_query_nearest((x, y), 0.01, pymunk.ShapeFilter())
+        if nearest is not None:  # ray queries from inside a shape mean something else
+            assert nearest.distance >= 0 or (distances[0, robot] == 0).all()
+            continue
         for ray, turn in enumerate(RAY_ANGLES_RAD):
             angle = heading[0, robot] + turn
             end = (x + 50 * math.cos(angle), y + 50 * math.sin(angle))
             hit = space.segment_query_first((x, y), end, 0.0, pymunk.ShapeFilter())
-            expected = min(1.0, 5 / max(50 * hit.alpha, 1e-9)) if hit else 0.0
-            assert values[0, robot, ray] == pytest.approx(expected, abs=1e-9)
+            distance = distances[0, robot, ray]
+            if hit is None:
+                assert distance > 50 - 1e-9
+            else:
+                assert distance == pytest.approx(50 * hit.alpha, abs=1e-9)
 
 
-@pytest.mark.parametrize("robots", [7, 450])
-def test_friend_senses_equal_a_loop_also_in_blocks(robots: int) -> None:
-    rng = np.random.default_rng(robots)
-    place = rng.uniform(0, 15 * robots**0.5, size=(2, robots, 2))
-    heading = rng.uniform(-np.pi, np.pi, size=(2, robots))
-    x, y = place[..., 0], place[..., 1]
-    proximity, direction = friend_senses(x, y, np.cos(heading), np.sin(heading))
-    nearest = nearest_friend_squared(place)
-    for arena, robot in [(0, 0), (1, 3), (0, robots - 1), (1, robots // 2)]:
-        way = place[arena] - place[arena, robot]
-        gaps = np.hypot(*way.T)
-        middle = way[gaps <= 15].mean(0)
-        angle = math.atan2(middle[1], middle[0]) - heading[arena, robot] if middle.any() else 0.0
-        expected = (math.degrees(math.remainder(angle, 2 * math.pi)) + 180) / 360
-        assert proximity[arena, robot] == pytest.approx(1 - np.hypot(*middle) / 15)
-        assert direction[arena, robot] == pytest.approx(expected)
-        assert nearest[arena, robot] == pytest.approx(np.sort(gaps)[1] ** 2)
+def test_distances_are_measured_in_lengths_of_the_ray() -> None:
+    # The face of the wall, at x = 398, is 20 units away: five lengths of a ray of 4 units.
+    around = barriers([Wall(x=400, y=400, width=4, height=100)], 800.0, 800.0, 2.0)
+    place = np.full((1, 3, 2), (378.0, 400.0))
+    ahead = np.array([[(4.0, 0.0), (0.0, -4.0), (0.0, 4.0)]])
+    straight_and_left = np.array([(1.0, 0.0), (0.0, 1.0)])
+    distances = ray_distances(place, ahead, straight_and_left, 6.0, around)
+    assert distances[0].tolist() == [[5, np.inf], [np.inf, 5], [np.inf, np.inf]]

@@ -1,0 +1,119 @@
+"""How far along a ray the first wall is met: for wall sensors, and for robots that were pressed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from neatq_envs.walls import Wall
+
+
+class Barriers(NamedTuple):
+    """All that stops a ray.
+
+    Attributes:
+        boxes: float64 [walls, 7]: centre x and y, cosine and sine of the turn, half the width,
+            half the height, half the diagonal.
+        low: the least x and y inside the border walls, units.
+        high_x: the greatest x inside the border walls, units; likewise `high_y`.
+        high_y: see `high_x`.
+    """
+
+    boxes: np.ndarray
+    low: float
+    high_x: float
+    high_y: float
+
+
+def barriers(walls: Iterable[Wall], width: float, height: float, inset: float) -> Barriers:
+    """Return the walls of a field whose border walls begin `inset` units inside its edges."""
+    boxes = [
+        (
+            wall.x,
+            wall.y,
+            math.cos(wall.angle_rad),
+            math.sin(wall.angle_rad),
+            wall.width / 2,
+            wall.height / 2,
+            math.hypot(wall.width, wall.height) / 2,
+        )
+        for wall in walls
+    ]
+    return Barriers(np.array(boxes).reshape(-1, 7), inset, width - inset, height - inset)
+
+
+@njit(cache=True)
+def ray_distances(
+    position: np.ndarray, ahead: np.ndarray, turns: np.ndarray, reach: float, barriers: Barriers
+) -> np.ndarray:
+    """Return how far along each ray the first barrier is met; infinite if it is not.
+
+    Args:
+        position: where the rays start, float64 [arenas, robots, 2], units.
+        ahead: float64 [arenas, robots, 2]; the unit of distances is its length.
+        turns: cosine and sine of the angle from `ahead` to each ray, float64 [rays, 2].
+        reach: barriers further away than that, in the same unit, need not be found.
+        barriers: the field and its walls.
+
+    Returns:
+        float64 [arenas, robots, rays]; 0 from inside a box.
+    """
+    low, high_x, high_y, boxes = barriers.low, barriers.high_x, barriers.high_y, barriers.boxes
+    arenas, robots, _ = position.shape
+    distances = np.full((arenas, robots, len(turns)), np.inf)
+    for arena in range(arenas):
+        for robot in range(robots):
+            x, y = position[arena, robot, 0], position[arena, robot, 1]
+            way_x, way_y = ahead[arena, robot, 0], ahead[arena, robot, 1]
+            span = reach * math.sqrt(way_x * way_x + way_y * way_y)
+            if min(x - low, high_x - x, y - low, high_y - y) <= span:
+                for ray in range(len(turns)):
+                    ray_x, ray_y = _turned(way_x, way_y, turns, ray)
+                    # From inside, the border is met where the ray leaves the first of its slabs.
+                    distance = min(_exit(x, ray_x, low, high_x), _exit(y, ray_y, low, high_y))
+                    distances[arena, robot, ray] = distance
+            for box in range(len(boxes)):
+                dx, dy = x - boxes[box, 0], y - boxes[box, 1]
+                if dx * dx + dy * dy > (span + boxes[box, 6]) ** 2:
+                    continue
+                for ray in range(len(turns)):
+                    ray_x, ray_y = _turned(way_x, way_y, turns, ray)
+                    distance = _box_distance(dx, dy, ray_x, ray_y, boxes[box])
+                    distances[arena, robot, ray] = min(distance, distances[arena, robot, ray])
+    return distances
+
+
+@njit(cache=True)
+def _turned(x: float, y: float, turns: np.ndarray, ray: int) -> tuple[float, float]:
+    cosine, sine = turns[ray, 0], turns[ray, 1]
+    return x * cosine - y * sine, y * cosine + x * sine
+
+
+@njit(cache=True)
+def _exit(place: float, ray: float, low: float, high: float) -> float:
+    """Return how far along a ray the slab low..high is left."""
+    gap = high - place if ray > 0 else place - low
+    return max(gap, 0.0) / max(abs(ray), 1e-12)
+
+
+@njit(cache=True)
+def _box_distance(dx: float, dy: float, ray_x: float, ray_y: float, box: np.ndarray) -> float:
+    """Return how far along a ray, (dx, dy) from its centre on, a box is met (Kay & Kajiya 1986)."""
+    cosine, sine = box[2], box[3]
+    enter, leave = _slab(cosine * dx + sine * dy, cosine * ray_x + sine * ray_y, box[4])
+    near, far = _slab(cosine * dy - sine * dx, cosine * ray_y - sine * ray_x, box[5])
+    enter, leave = max(enter, near), min(leave, far)
+    return max(enter, 0.0) if enter <= leave and leave >= 0 else np.inf
+
+
+@njit(cache=True)
+def _slab(place: float, ray: float, half: float) -> tuple[float, float]:
+    """Return where a ray enters and leaves the slab -half..half."""
+    # A ray along the slab never crosses it: a tiny component puts the crossings far away.
+    inverse = 1.0 / (1e-12 if abs(ray) < 1e-12 else ray)
+    centre, reach = -place * inverse, half * abs(inverse)
+    return centre - reach, centre + reach
