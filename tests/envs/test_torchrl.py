@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDictBase
+from tensordict import NonTensorData, TensorDictBase
 from torchrl.collectors import Collector
+from torchrl.envs import EnvBase, StepCounter, TransformedEnv
 from torchrl.envs.utils import check_env_specs, step_mdp
 
 from neatq_envs.scenario import TASKS
@@ -107,6 +108,86 @@ def test_what_was_returned_is_not_overwritten_by_later_steps() -> None:
         _, data = env.step_and_maybe_reset(steer(step_mdp(stepped)))
     for key in kept.keys(True, True):
         assert torch.equal(kept[key], stepped[key]), key
+
+
+def act(root: Any, tick: int) -> Any:
+    """Act as a policy with a memory of its own does, and as a collector that counts."""
+    root = steer(root)
+    root["network_state"] = torch.full((2, 4, 3), float(tick))
+    root["next", "network_state"] = torch.full((2, 4, 3), float(tick + 1))
+    root["next", DISTANCE] = torch.full((2, 4, 1), -1.0)  # the environment's own prevails
+    root["collector", "traj_ids"] = torch.full((2, 4), tick)
+    root["note"] = NonTensorData(f"tick {tick}", batch_size=root.batch_size)
+    return root
+
+
+def same(one: Any, other: Any) -> bool:
+    """Return whether two tensordicts have the same entries, at the same depths."""
+    return (
+        type(one) is type(other)
+        and one.batch_size == other.batch_size
+        and set(one.keys(True)) == set(other.keys(True))
+        and all(torch.equal(one[key], other[key]) for key in one.keys(True, True) if key != "note")
+        and str(one.get("note", None)) == str(other.get("note", None))
+    )
+
+
+def test_the_short_way_of_stepping_does_what_torchrl_does() -> None:
+    short, stock = ArenaEnv(SMALL, arenas=2), ArenaEnv(SMALL, arenas=2)
+    root, stock_root = short.reset(), stock.reset()
+    some = torch.tensor([[True, False, False, True], [False, True, False, False]])[..., None]
+    ended = set()
+    for tick in range(25):
+        if tick == 8:  # until now all lives end together
+            root = short.reset(root.set("_reset", some))
+            stock_root = stock.reset(stock_root.set("_reset", some))
+        data, stock_data = act(root, tick), act(stock_root, tick)
+        collector = data["collector"]
+        stepped, root = short.step_and_maybe_reset(data)
+        stock_data, stock_root = EnvBase.step_and_maybe_reset(stock, stock_data)
+        assert stepped is data and root["collector"] is not collector
+        assert same(data, stock_data) and same(root, stock_root), tick
+        ended.add(int(data["next", DONE].sum()))
+    assert ended == {0, 3, 5, 8}
+
+
+def test_an_uncommon_step_goes_the_way_of_torchrl(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = ArenaEnv(SMALL, arenas=2)
+
+    def uncommon(data: Any, **attached: Any) -> bool:
+        """Return whether a step is left to TorchRL."""
+        left = []
+
+        def stock(self: EnvBase, tensordict: Any) -> tuple[Any, Any]:
+            left.append(tensordict)
+            return tensordict, tensordict
+
+        with monkeypatch.context() as patch:
+            patch.setattr(EnvBase, "step_and_maybe_reset", stock)
+            for name, value in attached.items():
+                patch.setitem(vars(env), name, value)
+            env.step_and_maybe_reset(data)
+        return bool(left)
+
+    def plain() -> Any:
+        return steer(env.reset())
+
+    everyone = torch.ones(2, 4, 1, dtype=torch.bool)
+    named = plain()
+    named.names = ["arena", "robot"]
+    assert not uncommon(plain())
+    assert uncommon(plain().set("_step", everyone)) and uncommon(plain().set("_reset", everyone))
+    assert uncommon(named) and uncommon(plain().to("cpu")) and uncommon(plain()[0])
+    assert uncommon(plain(), _post_step_mdp_hooks=lambda *both: both)
+    assert uncommon(plain(), _compiled_step_and_maybe_reset=lambda data: (data, data))
+    with pytest.raises(RuntimeError, match="batch_size"):
+        env.step_and_maybe_reset(plain()[0])
+
+
+def test_transforms_of_torchrl_count_lives() -> None:
+    env = TransformedEnv(ArenaEnv(SMALL, arenas=2), StepCounter(step_count_key="ticks"))
+    data = env.rollout(15, steer, break_when_any_done=False, auto_cast_to_device=False)
+    assert torch.equal(data["next", "ticks"], data["next", STEP_COUNT])
 
 
 @pytest.mark.parametrize("everyone", [False, True])
