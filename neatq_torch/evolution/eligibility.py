@@ -7,6 +7,7 @@ robot is replaced and each is judged at the age of m ticks (Stanley, Bryant & Mi
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import lru_cache
 from math import floor
 
 
@@ -20,6 +21,7 @@ def intervals_until(tick: int, life_ticks: int, robots: int, ineligible_fraction
     return floor(tick * robots * _exact(ineligible_fraction) / life_ticks)
 
 
+@lru_cache
 def _exact(fraction: float) -> Fraction:
     # In floating point 0.3 is a little less than 3/10, and multiples of the interval would
     # come a tick late now and then.

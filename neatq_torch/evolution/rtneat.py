@@ -140,7 +140,7 @@ class RtNEAT:
             self.speciation.add(slot, self.genomes)
         self._next_genome_id = first_genome_id
         # Who came first: the older one goes first where the rules leave the order open.
-        self._birth_order = list(range(len(genomes)))
+        self._birth_order = np.arange(len(genomes))
         self._settled = self._intervals_until(config.minimum_life_ticks)
 
     @classmethod
@@ -250,7 +250,7 @@ class RtNEAT:
             "births": self.births,
             "tick": self.tick,
             "next_genome_id": self._next_genome_id,
-            "birth_order": list(self._birth_order),
+            "birth_order": self._birth_order.tolist(),
             "settled": self._settled,
         }
 
@@ -269,7 +269,7 @@ class RtNEAT:
         population.trials.load_state(state["trials"])
         population.births = state["births"]
         population.tick = state["tick"]
-        population._birth_order = list(state["birth_order"])
+        population._birth_order = np.array(state["birth_order"], dtype=np.int64)
         population._settled = state["settled"]
         return population
 
@@ -280,7 +280,7 @@ class RtNEAT:
     def _replace_worst(self) -> Replacement:
         fitness, eligible = self.fitness, self.eligible
         adjusted = fitness / self.speciation.sizes(len(self.genomes))
-        slot = worst(adjusted, [one for one in self._birth_order if eligible[one]])
+        slot = worst(adjusted, self._birth_order[eligible[self._birth_order]])
         removed = self.genomes[slot].genome_id
         self.speciation.remove(slot)
         slots, interspecies = choose_parents(
@@ -304,7 +304,7 @@ class RtNEAT:
         self.trials.reset(slot)
         self._next_genome_id += 1
         self.births += 1
-        self._birth_order.remove(slot)
-        self._birth_order.append(slot)
+        order = self._birth_order
+        order[:-1], order[-1] = order[order != slot], slot
         self.speciation.add(slot, self.genomes)
         self.speciation.count_offspring(self.genomes, self._birth_order)

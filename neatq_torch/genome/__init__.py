@@ -6,7 +6,7 @@ from neatq_torch.genome.crossover import (
     multipoint,
     multipoint_average,
 )
-from neatq_torch.genome.distance import DistanceConfig, compatibility, distances
+from neatq_torch.genome.distance import DistanceConfig, LinkTable, compatibility, distances
 from neatq_torch.genome.genome import (
     ACTIVATIONS,
     Genome,
@@ -32,6 +32,7 @@ __all__ = [
     "GenomeError",
     "InnovationLedger",
     "LinkInnovation",
+    "LinkTable",
     "MutationConfig",
     "NodeKind",
     "Split",

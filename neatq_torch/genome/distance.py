@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from neatq_torch.genome.genome import Genome
-from neatq_torch.genome.innovation import match
 
 SMALL_GENOME_LINKS = 20
-NONE = np.iinfo(np.int64).min
+
+Innovations = NDArray[np.int64]
+Weights = NDArray[np.float32]
+Rows = NDArray[np.int64]
+Coefficients = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,42 +44,189 @@ class DistanceConfig:
             if not 0.0 <= value < np.inf:
                 raise ValueError(f"{name} must be a finite number >= 0, not {value}.")
 
+    @cached_property
+    def coefficients(self) -> Coefficients:
+        """The four fields as compiled code takes them."""
+        return float(self.disjoint), float(self.excess), float(self.weight), float(self.normalised)
+
 
 def compatibility(a: Genome, b: Genome, config: DistanceConfig) -> float:
-    """Return the distance between two genomes, from the weights they have now."""
-    return float(distances(a, [b], config)[0])
+    """Return the distance between two genomes, from the weights they have now.
+
+    A gene is excess if it lies beyond the last gene of the other genome, else disjoint.
+    """
+    return _distance(
+        a.link_innovation, a.link_weight, b.link_innovation, b.link_weight, config.coefficients
+    )
 
 
 def distances(
     genome: Genome, others: Sequence[Genome], config: DistanceConfig
 ) -> NDArray[np.float64]:
-    """Return the distances [others] from one genome to many, without a loop over them.
+    """Return the distances [others] from one genome to many."""
+    return np.array([compatibility(genome, other, config) for other in others], dtype=np.float64)
 
-    A gene is excess if it lies beyond the last gene of the other genome, else disjoint.
+
+class LinkTable:
+    """Innovations and weights of a population as rows that compiled code can walk along.
+
+    Attributes:
+        innovation: int64 [genomes, columns]; a row means nothing beyond the links it has.
+        weight: float32 [genomes, columns].
+        links: int64 [genomes], how many links each genome has.
     """
-    if not others:
-        return np.zeros(0)
-    own = genome.link_innovation
-    sizes = np.array([other.link_innovation.size for other in others])
-    owner = np.repeat(np.arange(len(others)), sizes)
-    innovation = np.concatenate([other.link_innovation for other in others])
-    place, matching = match(own, innovation)
-    # One more weight, for the places of a genome without links.
-    own_weight = np.append(genome.link_weight, 0.0)
-    gap = np.abs(own_weight[place] - np.concatenate([other.link_weight for other in others]))
-    gap[np.flatnonzero(~matching)] = 0.0
-    gaps = np.bincount(owner, weights=gap, minlength=len(others))
 
-    def count(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-        return np.bincount(owner[np.flatnonzero(mask)], minlength=len(others))
+    def __init__(self) -> None:
+        """Start without genomes."""
+        self._genomes: list[Genome | None] = []
+        self._make(0, 0)
 
-    matches = sizes - count(~matching)
-    beyond_own = count(innovation > (own[-1] if own.size else NONE))
-    last = np.array([o.link_innovation[-1] if o.link_innovation.size else NONE for o in others])
-    excess = beyond_own + own.size - np.searchsorted(own, last, side="right")
-    disjoint = own.size + sizes - 2 * matches - excess
-    counted = config.disjoint * disjoint + config.excess * excess
-    if config.normalised:
-        larger = np.maximum(sizes, own.size)
-        counted = counted / np.where(larger < SMALL_GENOME_LINKS, 1, larger)
-    return counted + config.weight * gaps / np.maximum(matches, 1)
+    def refresh(self, genomes: Sequence[Genome]) -> None:
+        """Write the rows of those genomes that are others than last time."""
+        if len(genomes) != len(self._genomes):
+            self._make(len(genomes), 0)
+        known = self._genomes
+        for row in [row for row, genome in enumerate(genomes) if genome is not known[row]]:
+            self._write(row, genomes[row])
+
+    def regroup(
+        self,
+        groups: Sequence[Rows],
+        order: Rows,
+        threshold: float,
+        config: DistanceConfig,
+    ) -> list[Rows]:
+        """Move every genome, one after the other, to the first group that it is compatible with.
+
+        It is compatible with a group whose first member (at that moment) is closer than the
+        threshold; without such a group it founds one behind the others.
+
+        Args:
+            groups: rows of the members of each group, none of them empty.
+            order: rows in the order in which they move.
+            threshold: distance from which genomes are not compatible.
+            config: how distances are measured.
+
+        Returns:
+            The same groups, which may be empty now, and the new ones. Who stays keeps its place,
+            who comes is appended.
+        """
+        sizes = [members.size for members in groups]
+        rows = np.concatenate(groups)
+        old = np.full(self.links.size, -1)
+        old[rows] = np.repeat(np.arange(len(groups)), sizes)
+        group = old.copy()
+        genes = self.innovation, self.weight, self.links
+        starts = np.cumsum([0, *sizes])
+        moved = _regroup(order, group, rows, starts, genes, threshold, config.coefficients)
+        if not moved.size:
+            return list(groups)
+        rows = np.concatenate([rows[group[rows] == old[rows]], moved])
+        return [rows[group[rows] == one] for one in range(max(len(groups), group.max() + 1))]
+
+    def _write(self, row: int, genome: Genome) -> None:
+        links = genome.link_weight.size
+        if links > self.innovation.shape[1]:
+            self._widen(links)
+        self.innovation[row, :links] = genome.link_innovation
+        self.weight[row, :links] = genome.link_weight
+        self.links[row] = links
+        self._genomes[row] = genome
+
+    def _widen(self, links: int) -> None:
+        more = ((0, 0), (0, links - self.innovation.shape[1] + links // 4))
+        self.innovation, self.weight = np.pad(self.innovation, more), np.pad(self.weight, more)
+
+    def _make(self, genomes: int, columns: int) -> None:
+        self._genomes = [None] * genomes
+        self.innovation = np.zeros((genomes, columns), dtype=np.int64)
+        self.weight = np.zeros((genomes, columns), dtype=np.float32)
+        self.links = np.zeros(genomes, dtype=np.int64)
+
+
+@njit(cache=True)
+def _distance(
+    own: Innovations,
+    own_weight: Weights,
+    other: Innovations,
+    other_weight: Weights,
+    coefficients: Coefficients,
+) -> float:
+    """Walk along two lists of links, each sorted by innovation."""
+    disjoint, excess, weight, normalised = coefficients
+    i = j = matches = 0
+    gaps = 0.0
+    while i < own.size and j < other.size:
+        if own[i] == other[j]:
+            gaps += abs(np.float64(own_weight[i]) - np.float64(other_weight[j]))
+            matches += 1
+            i += 1
+            j += 1
+        elif own[i] < other[j]:
+            i += 1
+        else:
+            j += 1
+    beyond = own.size - i + other.size - j
+    between = own.size + other.size - 2 * matches - beyond
+    counted = disjoint * between + excess * beyond
+    larger = max(own.size, other.size)
+    if normalised and larger >= SMALL_GENOME_LINKS:
+        counted = counted / larger
+    return counted + weight * gaps / max(matches, 1)
+
+
+@njit(cache=True)
+def _regroup(
+    order: Rows,
+    group: Rows,
+    rows: Rows,
+    starts: Rows,
+    genes: tuple[Innovations, Weights, Rows],
+    threshold: float,
+    coefficients: Coefficients,
+) -> Rows:
+    """Give `group` [rows] its new values; return the rows that moved, in that order."""
+    innovation, weight, links = genes
+    groups = starts.size - 1
+    leader = np.full(groups + order.size, -1)
+    leader[:groups] = rows[starts[:-1]]
+    moved = np.empty(order.size, np.int64)
+    moves = 0
+    for row in order:
+        own, own_weight = innovation[row, : links[row]], weight[row, : links[row]]
+        home = 0
+        while home < groups:
+            first = leader[home]
+            if first >= 0:
+                size = links[first]
+                other, other_weight = innovation[first, :size], weight[first, :size]
+                apart = _distance(own, own_weight, other, other_weight, coefficients)
+                if apart < threshold:
+                    break
+            home += 1
+        old = group[row]
+        if home == old:
+            continue
+        if home == groups:
+            leader[home] = row
+            groups += 1
+        group[row] = home
+        moved[moves] = row
+        moves += 1
+        if leader[old] == row:
+            # Only old groups lose members: who has moved once stays where it is.
+            before = rows[starts[old] : starts[old + 1]]
+            leader[old] = _first_of(old, group, before, moved[:moves])
+    return moved[:moves]
+
+
+@njit(cache=True)
+def _first_of(one: np.int64, group: Rows, before: Rows, moved: Rows) -> np.int64 | int:
+    """Return the first row of a group, those it had `before` first; -1 if it is empty."""
+    for row in before:
+        if group[row] == one:
+            return row
+    for row in moved:
+        if group[row] == one:
+            return row
+    return -1

@@ -135,8 +135,8 @@ def test_roulette_is_uniform_where_all_shares_are_zero() -> None:
 
 def test_the_worst_is_the_first_of_the_least_fit_candidates() -> None:
     fitness = np.array([0.1, 0.5, 0.2, 0.2])
-    assert worst(fitness, [1, 3, 2]) == 3
-    assert worst(fitness, [1]) == 1
+    assert worst(fitness, np.array([1, 3, 2])) == 3
+    assert worst(fitness, np.array([1])) == 1
 
 
 class Chooser:
@@ -152,7 +152,7 @@ class Chooser:
         settings = ReproductionConfig(**config)
         drawn = []
         for _ in range(times):
-            species = [Species(i, list(slots)) for i, slots in enumerate(self.species)]
+            species = [Species(i, np.array(slots)) for i, slots in enumerate(self.species)]
             drawn.append(choose_parents(species, self.fitness, self.eligible, settings, rng))
         return drawn
 
@@ -194,11 +194,11 @@ def test_a_mate_from_outside_is_the_fittest_of_another_species() -> None:
 
 
 def test_breeding_ranks_the_species() -> None:
-    species = [Species(1, [0, 1, 2])]
+    species = [Species(1, np.array([0, 1, 2]))]
     fitness = np.array([1.0, 0.5, 2.0])
     rng = np.random.default_rng(0)
     choose_parents(species, fitness, np.ones(3, dtype=bool), OPENNERO, rng)
-    assert species[0].members == [2, 0, 1]
+    assert species[0].members.tolist() == [2, 0, 1]
 
 
 def test_a_probability_beyond_one_is_refused() -> None:

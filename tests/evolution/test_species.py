@@ -25,7 +25,7 @@ def sorted_in(genomes: list[Genome], **config: Any) -> Speciation:
 
 
 def members(speciation: Speciation) -> list[list[int]]:
-    return [species.members for species in speciation.species]
+    return [species.members.tolist() for species in speciation.species]
 
 
 def test_a_genome_joins_the_first_compatible_species_or_founds_one() -> None:
@@ -47,9 +47,10 @@ def test_the_first_member_represents_its_species_and_the_next_follows_it() -> No
     assert speciation.species[0].representative(genomes) is genomes[0]
     speciation.remove(0)
     assert speciation.species[0].representative(genomes) is genomes[1]
-    speciation.species[0].members.append(0)
+    speciation.add(0, genomes)
+    assert members(speciation) == [[1, 0], [2]]
     speciation.species[0].rank(np.array([2.0, 1.0, 0.0]))
-    assert speciation.species[0].members == [0, 1]
+    assert members(speciation) == [[0, 1], [2]]
 
 
 def test_a_species_without_members_vanishes() -> None:
@@ -105,7 +106,7 @@ def test_reassigning_follows_the_given_order_and_sees_each_move() -> None:
     genomes = at(0.0, 1.0, 1.2)
     speciation = sorted_in(genomes, threshold=1.5, target=3, step=0.7, adjust_every=1)
     assert members(speciation) == [[0, 1, 2]]
-    speciation.species[0].members[:] = [1, 2, 0]
+    speciation.species[0].members = np.array([1, 2, 0])
     speciation.count_offspring(genomes, [0, 1, 2])
     assert members(speciation) == [[1, 2], [0]]
 

@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from neatq_torch.genome import DistanceConfig, Genome, compatibility, distances, initial_genome
+from neatq_torch.genome import (
+    DistanceConfig,
+    Genome,
+    LinkTable,
+    compatibility,
+    distances,
+    initial_genome,
+)
+from neatq_torch.genome.codec import LINK_COLUMNS
 
 PLAIN = DistanceConfig()
 
@@ -62,6 +70,56 @@ def test_many_distances_are_those_of_the_pairs_and_symmetric(
     assert together.tolist() == [compatibility(genomes[0], one, PLAIN) for one in genomes]
     assert together.tolist() == [compatibility(one, genomes[0], PLAIN) for one in genomes]
     assert together[0] == 0.0
+
+
+def regrouped(
+    groups: list[list[int]], order: list[int], place: list[float], threshold: float
+) -> list[list[int]]:
+    """Regroup points on a line, member by member."""
+    groups = [list(members) for members in groups]
+    for one in order:
+        close = [g for g in groups if g and abs(place[g[0]] - place[one]) < threshold]
+        home = close[0] if close else []
+        if one in home:
+            continue
+        next(group for group in groups if one in group).remove(one)
+        if not home:
+            groups.append(home)
+        home.append(one)
+    return groups
+
+
+def test_regrouping_is_that_of_members_who_move_one_by_one() -> None:
+    one, rng = initial_genome(1, 1, rng=np.random.default_rng(0)), np.random.default_rng(0)
+    for _ in range(300):
+        place, group = rng.integers(16, size=12) / 8, rng.integers(4, size=12)
+        rows, order = rng.permutation(12), rng.permutation(12)
+        groups = [rows[group[rows] == one] for one in np.unique(group)]
+        table = LinkTable()
+        table.refresh([one.with_weights([where, where]) for where in place])
+        threshold = float(rng.integers(2, 10) / 8)
+        moved = table.regroup(groups, order, threshold, DistanceConfig(weight=1.0))
+        before = [members.tolist() for members in groups]
+        expected = regrouped(before, order.tolist(), place.tolist(), threshold)
+        assert [members.tolist() for members in moved] == expected
+
+
+def test_a_table_sees_genomes_that_were_exchanged_or_grew(small: Genome) -> None:
+    short = small.replaced(**{name: getattr(small, name)[:3] for name in LINKS})
+    table, groups = LinkTable(), [np.array([0, 1, 2])]
+    for genomes, expected in [
+        ([short, short, short], [[0, 1, 2]]),
+        ([short, small, short], [[0, 2], [1]]),
+        ([short, short, short.with_weights([9.0] * 3)], [[0, 1], [2]]),
+        ([small, short], [[0], [1]]),
+    ]:
+        table.refresh(genomes)
+        order = np.arange(len(genomes))
+        found = table.regroup([one[one < len(genomes)] for one in groups], order, 1.0, PLAIN)
+        assert [members.tolist() for members in found] == expected
+
+
+LINKS = [f"link_{name}" for name in LINK_COLUMNS]
 
 
 def test_a_negative_coefficient_is_refused() -> None:
