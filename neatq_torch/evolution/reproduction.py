@@ -98,12 +98,12 @@ def offspring(
     """
     if len(parents) == 1:
         child = mutate(parents[0].genome, config.mutation, ledger, rng)
-        return child.replaced(genome_id=genome_id)
+        return child.unchecked(genome_id=genome_id)
     first, second = parents
     child = _cross(first, second, config, rng, interspecies=interspecies)
     if rng.random() >= config.mate_only_prob or _are_twins(first, second, config):
         child = mutate(child, config.mutation, ledger, rng)
-    return child.replaced(genome_id=genome_id)
+    return child.unchecked(genome_id=genome_id)
 
 
 def _cross(

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from neatq_torch.genome.genome import Genome, GenomeError
 from neatq_torch.genome.graph import node_levels
-from neatq_torch.genome.innovation import match
+from neatq_torch.genome.innovation import matching
 from neatq_torch.genome.validation import LINK_FIELDS, NODE_FIELDS
-from neatq_torch.genome.vocabulary import NodeKind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,13 +96,13 @@ class _LinedUp:
 
 
 def _lined_up(first: Genome, second: Genome) -> _LinedUp:
-    if not _same_interface(first, second):
+    same_world = first.observation_schema == second.observation_schema
+    if not same_world or first.interface != second.interface:
         raise GenomeError(
             f"genomes {first.genome_id} and {second.genome_id} differ in their observation "
             "schema, input, bias or output nodes; only genomes with the same ones can mate."
         )
-    place, matching = match(second.link_innovation, first.link_innovation)
-    in_first, in_second = np.flatnonzero(matching), place[matching]
+    in_first, in_second = matching(first.link_innovation, second.link_innovation)
     return _LinedUp(
         in_first,
         in_second,
@@ -110,17 +110,6 @@ def _lined_up(first: Genome, second: Genome) -> _LinedUp:
         second.link_weight[in_second],
         first.link_enabled[in_first],
         second.link_enabled[in_second],
-    )
-
-
-def _same_interface(first: Genome, second: Genome) -> bool:
-    if first.observation_schema != second.observation_schema:
-        return False
-    outer_first = first.node_kind != NodeKind.HIDDEN
-    outer_second = second.node_kind != NodeKind.HIDDEN
-    return all(
-        np.array_equal(getattr(first, name)[outer_first], getattr(second, name)[outer_second])
-        for name in ("node_id", "node_kind")
     )
 
 
@@ -143,59 +132,91 @@ def _child(
     fitter, at = (first, genes.in_first) if first_fitter else (second, genes.in_second)
     weight, enabled = fitter.link_weight.copy(), fitter.link_enabled.copy()
     weight[at], enabled[at] = inherited
-    child = fitter.replaced(genome_id=first.genome_id, link_weight=weight, link_enabled=enabled)
+    child = fitter.unchecked(genome_id=first.genome_id, link_weight=weight, link_enabled=enabled)
     other, other_at = (second, genes.in_second) if first_fitter else (first, genes.in_first)
     if not config.keep_all_genes or other_at.size == other.link_innovation.size:
         return child
-    extra = np.ones(other.link_innovation.size, dtype=bool)
-    extra[other_at] = False
-    return _with_extra_genes(child, other, extra) or child
+    return _with_extra_genes(child, other) or child
 
 
-def _with_extra_genes(child: Genome, other: Genome, extra: NDArray[np.bool_]) -> Genome | None:
-    """Return the child with these genes of another genome too; None if that makes a cycle."""
+def _with_extra_genes(child: Genome, other: Genome) -> Genome | None:
+    """Return the child with another genome's extra genes too; None if that makes a cycle."""
+    place, new = _joined_nodes(child.node_id, other.node_id)
+    source = np.concatenate((child.source_index, place[other.source_index]))
+    target = np.concatenate((child.target_index, place[other.target_index]))
     links = {
-        name: np.concatenate([getattr(child, name), getattr(other, name)[extra]])
-        for name in LINK_FIELDS
+        name: np.concatenate((getattr(child, name), getattr(other, name))) for name in LINK_FIELDS
     }
-    order = np.argsort(links["link_innovation"], kind="stable")
-    links = {name: column[order] for name, column in links.items()}
-    ends = np.stack([links["link_source"], links["link_target"]])
-    known, (source, target) = np.unique(ends, return_inverse=True)
-    kept = _first_of_each_link(source, target, links["link_recurrent"])
-    forward = kept[~links["link_recurrent"][kept]]
-    if node_levels(source[forward], target[forward], known.size) is None:
+    innovation, recurrent = links["link_innovation"], links["link_recurrent"]
+    nodes = child.node_id.size + new.size
+    kept = _without_rivals(innovation, source, target, recurrent, child.link_weight.size)
+    kept = kept[innovation[kept].argsort()]
+    forward = kept[~recurrent[kept]]
+    if node_levels(source[forward], target[forward], nodes) is None:
         return None
-    links = {name: column[kept] for name, column in links.items()}
-    return child.replaced(**_joined_nodes(child, other, links), **links)
+    used = np.zeros(nodes, dtype=bool)
+    used[source[kept]] = used[target[kept]] = True
+    new = new[used[child.node_id.size :]]
+    return child.unchecked(
+        **{name: column[kept] for name, column in links.items()},
+        **{
+            name: np.concatenate((getattr(child, name), getattr(other, name)[new]))
+            for name in NODE_FIELDS
+        },
+    )
 
 
-def _first_of_each_link(
-    source: NDArray[np.intp], target: NDArray[np.intp], recurrent: NDArray[np.bool_]
-) -> NDArray[np.intp]:
-    """Return the places of links that remain when the oldest of rivals is kept.
-
-    Rivals lead from the same node to the same node and are both recurrent or both forward;
-    forward links are rivals in opposite directions too.
-    """
-    low = np.where(recurrent, source, np.minimum(source, target))
-    high = np.where(recurrent, target, np.maximum(source, target))
-    nodes = int(max(source.max(), target.max())) + 1
-    key = (low * nodes + high) * 2 + recurrent
-    return np.sort(np.unique(key, return_index=True)[1])
-
-
+@njit(cache=True)
 def _joined_nodes(
-    child: Genome, other: Genome, links: dict[str, NDArray[Any]]
-) -> dict[str, NDArray[Any]]:
-    """Return the child's nodes and those hidden nodes of the other genome that links use."""
-    used = np.isin(other.node_id, links["link_source"])
-    used |= np.isin(other.node_id, links["link_target"])
-    new = used & ~np.isin(other.node_id, child.node_id)
-    return {
-        name: np.concatenate([getattr(child, name), getattr(other, name)[new]])
-        for name in NODE_FIELDS
-    }
+    own: NDArray[np.int32], other: NDArray[np.int32]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Append another genome's new nodes to one's own, both given as ids.
+
+    Returns:
+        The index among all nodes of each of the `other` nodes, and which of these are new.
+    """
+    place = np.empty(other.size, np.int64)
+    new = np.empty(other.size, np.int64)
+    count = 0
+    for i in range(other.size):
+        known = np.flatnonzero(own == other[i])
+        if known.size:
+            place[i] = known[0]
+        else:
+            place[i] = own.size + count
+            new[count] = i
+            count += 1
+    return place, new[:count]
+
+
+@njit(cache=True)
+def _without_rivals(
+    innovation: NDArray[np.int64],
+    source: NDArray[np.int64],
+    target: NDArray[np.int64],
+    recurrent: NDArray[np.bool_],
+    own: int,
+) -> NDArray[np.int64]:
+    """Return which links remain of one's `own` and those of another genome behind them.
+
+    Both are sorted by innovation. Matching genes are one's own. Of rivals the older remains:
+    links from the same node to the same node that are both recurrent or both forward; forward
+    ones are rivals in opposite directions too. No genome holds rivals of its own.
+    """
+    gone = np.zeros(innovation.size, np.bool_)
+    older = 0
+    for new in range(own, innovation.size):
+        while older < own and innovation[older] < innovation[new]:
+            older += 1
+        if older < own and innovation[older] == innovation[new]:
+            gone[new] = True
+            continue
+        for old in range(own):
+            same = source[old] == source[new] and target[old] == target[new]
+            opposite = source[old] == target[new] and target[old] == source[new]
+            if recurrent[old] == recurrent[new] and (same or (opposite and not recurrent[old])):
+                gone[new if old < older else old] = True
+    return np.flatnonzero(~gone)
 
 
 def with_all_genes(config: CrossoverConfig) -> CrossoverConfig:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -26,8 +26,9 @@ __all__ = [
     "save_genome",
 ]
 
-STRUCTURE = ("node_id", "node_kind", "node_activation", "link_innovation", "link_source")
-STRUCTURE += ("link_target", "link_recurrent")
+COLUMNS = validation.NODE_FIELDS | validation.LINK_FIELDS
+STRUCTURE = COLUMNS.keys() - {"link_weight", "link_enabled"}
+FIELDS = frozenset({"genome_id", "observation_schema", *COLUMNS})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,7 +71,7 @@ class Genome:
 
     def __post_init__(self) -> None:
         """Freeze and check the arrays."""
-        for name, dtype in (validation.NODE_FIELDS | validation.LINK_FIELDS).items():
+        for name, dtype in COLUMNS.items():
             array = validation.frozen_array(name, getattr(self, name), dtype)
             object.__setattr__(self, name, array)
         validation.check(self)
@@ -89,6 +90,12 @@ class Genome:
     def target_index(self) -> NDArray[np.intp]:
         """[links] index of each link's target in the node arrays."""
         return self.node_index(self.link_target)
+
+    @cached_property
+    def interface(self) -> tuple[bytes, bytes]:
+        """Ids and kinds of the nodes that are not hidden, as bytes: quick to compare."""
+        outer = self.node_kind != NodeKind.HIDDEN
+        return self.node_id[outer].tobytes(), self.node_kind[outer].tobytes()
 
     @property
     def input_ids(self) -> NDArray[np.int32]:
@@ -114,24 +121,38 @@ class Genome:
 
     def with_weights(self, weights: ArrayLike) -> Self:
         """Return the genome with other weights, float32 [links], kept bit for bit."""
-        return self.replaced(link_weight=weights)
+        return self.unchecked(link_weight=self._link_column("link_weight", weights))
 
     def replaced(self, **changes: Any) -> Self:
         """Return a copy with some fields changed; GenomeError if it breaks a rule.
 
         Changes that leave the structure alone (id, schema, weights, enabled) are cheap.
         """
-        unknown = changes.keys() - {field.name for field in fields(self)}
+        unknown = changes.keys() - FIELDS
         if unknown:
             raise TypeError(f"a Genome has no field {sorted(unknown)[0]!r}.")
-        if not changes.keys().isdisjoint(STRUCTURE):
-            own = {field.name: getattr(self, field.name) for field in fields(self)}
-            return type(self)(**(own | changes))
-        # The structure was checked when this genome was made: share it and what it cached.
-        copy = object.__new__(type(self))
-        copy.__dict__.update(self.__dict__ | changes)
+        if not STRUCTURE.isdisjoint(changes):
+            return type(self)(**({name: getattr(self, name) for name in FIELDS} | changes))
         for name in changes.keys() & validation.LINK_FIELDS.keys():
-            copy.__dict__[name] = self._link_column(name, changes[name])
+            changes[name] = self._link_column(name, changes[name])
+        return self.unchecked(**changes)
+
+    def unchecked(self, **changes: Any) -> Self:
+        """Return a copy with some fields changed by somebody who keeps the rules.
+
+        For operators on sound genomes whose result is sound by construction: a check would cost
+        several times as much as the operator. New arrays have the right type and belong to
+        nobody else; they become read-only here. A new structure starts with empty caches.
+        """
+        own = self.__dict__
+        if not STRUCTURE.isdisjoint(changes):
+            own = {name: own[name] for name in FIELDS}
+        copy = object.__new__(type(self))
+        copy.__dict__.update(own)
+        copy.__dict__.update(changes)
+        for name, value in changes.items():
+            if name in COLUMNS:
+                value.flags.writeable = False
         return copy
 
     def _link_column(self, name: str, value: ArrayLike) -> NDArray[Any]:

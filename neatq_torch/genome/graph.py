@@ -1,8 +1,9 @@
-"""Questions about the forward links of a genome, answered without a loop over links."""
+"""Questions about the forward links of a genome, as compiled loops over them."""
 
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Indices = NDArray[np.integer]
@@ -19,36 +20,42 @@ def node_levels(sources: Indices, targets: Indices, nodes: int) -> NDArray[np.in
     Returns:
         int32 [nodes], 0 for nodes without incoming links; None if the links form a cycle.
     """
+    levels = _levels(sources, targets, nodes)
+    return None if levels.size < nodes else levels
+
+
+@njit(cache=True)
+def _levels(sources: Indices, targets: Indices, nodes: int) -> NDArray[np.int32]:
+    """Return the levels [nodes], an empty array if the links form a cycle."""
     levels = np.zeros(nodes, dtype=np.int32)
-    left_sources, left_targets = sources, targets
-    level = 0
-    while left_sources.size:
-        level += 1
-        levels[left_targets] = level
-        entered = np.zeros(nodes, dtype=bool)
-        entered[left_targets] = True
-        waiting = entered[left_sources]
-        if waiting.all():
-            return None
-        left_sources, left_targets = left_sources[waiting], left_targets[waiting]
+    changed = True
+    while changed:
+        changed = False
+        for link in range(sources.size):
+            level = levels[sources[link]] + 1
+            if level > levels[targets[link]]:
+                levels[targets[link]] = level
+                changed = True
+                if level >= nodes:
+                    return levels[:0]
     return levels
 
 
+@njit(cache=True)
 def reaches(sources: Indices, targets: Indices, nodes: int, source: int, target: int) -> bool:
     """Tell whether a path of links leads from node `source` to node `target` (indices).
 
     A node reaches itself. The links may contain cycles.
     """
-    reached = np.zeros(nodes, dtype=bool)
+    reached = np.zeros(nodes, dtype=np.bool_)
     reached[source] = True
-    count = 1
-    while not reached[target]:
-        reached[targets[reached[sources]]] = True
-        grown = int(np.count_nonzero(reached))
-        if grown == count:
-            return False
-        count = grown
-    return True
+    changed = True
+    while changed and not reached[target]:
+        changed = False
+        for link in range(sources.size):
+            if reached[sources[link]] and not reached[targets[link]]:
+                reached[targets[link]] = changed = True
+    return bool(reached[target])
 
 
 def find_cycle(sources: Indices, targets: Indices) -> list[int]:

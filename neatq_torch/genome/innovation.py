@@ -7,29 +7,28 @@ from dataclasses import astuple, dataclass
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from neatq_torch.genome.genome import Genome
 
 
-def match(
-    own: NDArray[np.int64], others: NDArray[np.int64]
-) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return for each of `others` its place in the sorted `own`, and whether it is there.
-
-    Places of innovations that are not there lie within `own` but mean nothing.
-    """
-    if not own.size:
-        return np.zeros(others.size, dtype=np.intp), np.zeros(others.size, dtype=bool)
-    first, span = int(own[0]), int(own[-1]) - int(own[0]) + 1
-    if span <= 4 * (own.size + others.size):
-        # Innovations lie close together, so a table is several times faster than a search.
-        table = np.zeros(span, dtype=np.intp)
-        table[own - first] = np.arange(own.size)
-        place = table.take(others - first, mode="clip")
-    else:
-        place = np.minimum(np.searchsorted(own, others), own.size - 1)
-    return place, own[place] == others
+@njit(cache=True)
+def matching(
+    first: NDArray[np.int64], second: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the places [matches] in two sorted lists of innovations that both have."""
+    in_first = np.empty(min(first.size, second.size), np.int64)
+    in_second = np.empty_like(in_first)
+    i = j = matches = 0
+    while i < first.size and j < second.size:
+        if first[i] == second[j]:
+            in_first[matches], in_second[matches] = i, j
+            matches += 1
+        step_first, step_second = first[i] <= second[j], second[j] <= first[i]
+        i += step_first
+        j += step_second
+    return in_first[:matches], in_second[:matches]
 
 
 class LinkInnovation(NamedTuple):

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from neatq_torch.genome.genome import Genome
 from neatq_torch.genome.innovation import InnovationLedger
 from neatq_torch.genome.mutation_config import MutationConfig
 from neatq_torch.genome.structural import add_link, add_node, reenable, toggle_enable
+
+Shares = tuple[float, float]
 
 
 def mutate(
@@ -46,22 +49,39 @@ def mutated_weights(
     shift = rng.uniform(-config.weight_mutation_power, config.weight_mutation_power, links)
     choice = rng.random(links)
     if config.weight_scheme == "neat2002":
-        kept, replaced = 0.0, config.weight_replace_prob
+        old = young = (0.0, config.weight_replace_prob)
     else:
-        kept, replaced = _opennero_shares(links, severe=rng.random() < 0.5)
-    # choice: [0, kept) keeps, [kept, kept + replaced) replaces, the rest moves.
-    new = np.where(choice < kept, weights, shift)
-    new = np.where(choice < kept + replaced, new, weights + shift)
-    if config.max_link_weight is not None:
-        new = np.clip(new, -config.max_link_weight, config.max_link_weight)
-    return new.astype(np.float32)
+        old, young = _opennero_shares(links, severe=rng.random() < 0.5)
+    cap = np.inf if config.max_link_weight is None else float(config.max_link_weight)
+    return _moved(weights, shift, choice, old, young, cap)
 
 
-def _opennero_shares(
-    links: int, *, severe: bool
-) -> tuple[float | NDArray[np.float64], float | NDArray[np.float64]]:
-    """Shares of kept and of replaced weights for each gene."""
+def _opennero_shares(links: int, *, severe: bool) -> tuple[Shares, Shares]:
+    """Return the shares of (kept, replaced) weights among old and among young genes."""
     if severe:
-        return 0.1, 0.2
-    young = (np.arange(links) > 0.8 * links) & (links >= 10)
-    return np.where(young, 0.3, 0.0), np.where(young, 0.2, 0.0)
+        return (0.1, 0.2), (0.1, 0.2)
+    return (0.0, 0.0), (0.3, 0.2) if links >= 10 else (0.0, 0.0)
+
+
+@njit(cache=True)
+def _moved(
+    weights: NDArray[np.float32],
+    shift: NDArray[np.float64],
+    choice: NDArray[np.float64],
+    old: Shares,
+    young: Shares,
+    cap: float,
+) -> NDArray[np.float32]:
+    """Return weights [links], capped; the last fifth of the genes counts as young."""
+    new = np.empty_like(weights)
+    for link in range(weights.size):
+        kept, replaced = young if link > 0.8 * weights.size else old
+        # choice: [0, kept) keeps, [kept, kept + replaced) replaces, the rest moves.
+        if choice[link] < kept:
+            weight = np.float64(weights[link])
+        elif choice[link] < kept + replaced:
+            weight = shift[link]
+        else:
+            weight = weights[link] + shift[link]
+        new[link] = min(max(weight, -cap), cap)
+    return new

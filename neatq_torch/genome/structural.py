@@ -11,7 +11,7 @@ from neatq_torch.genome.genome import Genome
 from neatq_torch.genome.graph import reaches
 from neatq_torch.genome.innovation import InnovationLedger
 from neatq_torch.genome.mutation_config import MutationConfig
-from neatq_torch.genome.validation import LINK_FIELDS
+from neatq_torch.genome.validation import LINK_FIELDS, check_innovations, check_weights
 from neatq_torch.genome.vocabulary import NodeKind, activation_index
 
 
@@ -44,7 +44,7 @@ def add_node(
         link_recurrent=[genome.link_recurrent[chosen], False],
     )
     links["link_enabled"] &= links["link_innovation"] != genome.link_innovation[chosen]
-    return genome.replaced(
+    return genome.unchecked(
         node_id=np.append(genome.node_id, np.int32(split.node_id)),
         node_kind=np.append(genome.node_kind, np.uint8(NodeKind.HIDDEN)),
         node_activation=np.append(genome.node_activation, np.uint8(activation)),
@@ -76,7 +76,7 @@ def add_link(
         link_weight=[known.weight],
         link_recurrent=[recurrent],
     )
-    return genome.replaced(**links)
+    return genome.unchecked(**links)
 
 
 def _free_pair(
@@ -124,7 +124,7 @@ def toggle_enable(genome: Genome, rng: np.random.Generator) -> Genome:
     leaving = genome.link_source == genome.link_source[chosen]
     if not (enabled & leaving).any():
         return genome
-    return genome.replaced(link_enabled=enabled)
+    return genome.unchecked(link_enabled=enabled)
 
 
 def reenable(genome: Genome) -> Genome:
@@ -134,7 +134,7 @@ def reenable(genome: Genome) -> Genome:
         return genome
     enabled = genome.link_enabled.copy()
     enabled[disabled[0]] = True
-    return genome.replaced(link_enabled=enabled)
+    return genome.unchecked(link_enabled=enabled)
 
 
 def _joined_links(genome: Genome, **new: list[Any]) -> dict[str, NDArray[Any]]:
@@ -145,4 +145,8 @@ def _joined_links(genome: Genome, **new: list[Any]) -> dict[str, NDArray[Any]]:
         for name, dtype in LINK_FIELDS.items()
     }
     order = np.argsort(joined["link_innovation"], kind="stable")
-    return {name: column[order] for name, column in joined.items()}
+    links = {name: column[order] for name, column in joined.items()}
+    # A ledger that does not know the genome may give numbers that are taken.
+    check_innovations(links["link_innovation"])
+    check_weights(links["link_innovation"], links["link_weight"])
+    return links

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from neatq_torch.genome import Genome, InnovationLedger, Split
-from neatq_torch.genome.innovation import match
+from neatq_torch.genome.innovation import matching
 
 
 def test_the_same_link_gets_the_same_number_and_the_weight_of_its_first_occurrence() -> None:
@@ -63,7 +63,7 @@ NUMBERS = st.lists(st.integers(0, 40) | st.integers(10**6, 10**12), unique=True)
 
 
 @given(NUMBERS, NUMBERS)
-def test_matching_finds_what_both_have(own: list[int], others: list[int]) -> None:
-    place, matching = match(np.array(own, np.int64), np.array(others, np.int64))
-    assert matching.tolist() == [number in own for number in others]
-    assert [own[at] for at in place[matching]] == [n for n in others if n in own]
+def test_matching_finds_what_both_have(first: list[int], second: list[int]) -> None:
+    in_first, in_second = matching(np.array(first, np.int64), np.array(second, np.int64))
+    both = sorted(set(first) & set(second))
+    assert [first[at] for at in in_first] == [second[at] for at in in_second] == both
