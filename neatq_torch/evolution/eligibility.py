@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from fractions import Fraction
 from functools import lru_cache
-from math import floor
 
 
 def interval_ticks(life_ticks: int, robots: int, ineligible_fraction: float) -> float:
@@ -18,7 +17,8 @@ def interval_ticks(life_ticks: int, robots: int, ineligible_fraction: float) -> 
 
 def intervals_until(tick: int, life_ticks: int, robots: int, ineligible_fraction: float) -> int:
     """Return how many whole intervals have passed at a tick."""
-    return floor(tick * robots * _exact(ineligible_fraction) / life_ticks)
+    share = _exact(ineligible_fraction)
+    return tick * robots * share.numerator // (life_ticks * share.denominator)
 
 
 @lru_cache

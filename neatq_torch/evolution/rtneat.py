@@ -88,7 +88,7 @@ class RtNEAT:
     """The population of one arena: slot i holds the genome of robot i.
 
     Attributes:
-        genomes: [robots] the genomes alive.
+        genomes: [robots] the genomes alive; only `replace` and `write_back` exchange them.
         births: offspring so far.
         tick: ticks recorded so far.
         rng: the only source of chance.
@@ -238,6 +238,7 @@ class RtNEAT:
     def write_back(self, slot: int, weights: ArrayLike) -> None:
         """Give the genome of a slot the weights, float32 [links], that its robot learned."""
         self.genomes[slot] = self.genomes[slot].with_weights(weights)
+        self.speciation.changed(slot)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the whole state as JSON values and numpy arrays."""

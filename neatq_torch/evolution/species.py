@@ -74,6 +74,7 @@ class Speciation:
         self._founded = 0
         self._offspring = 0
         self._links = LinkTable()
+        self._changed: set[int] = set()
 
     def of(self, slot: int) -> Species:
         """Return the species that the slot belongs to; KeyError if it belongs to none."""
@@ -91,12 +92,17 @@ class Speciation:
 
     def add(self, slot: int, genomes: Sequence[Genome]) -> Species:
         """Put a slot into the first compatible species, or found one for it."""
+        self.changed(slot)
         for species in self.species:
             apart = compatibility(genomes[slot], species.representative(genomes), self.distance)
             if apart < self.threshold:
                 species.members = np.append(species.members, slot)
                 return species
         return self._found([slot])
+
+    def changed(self, slot: int) -> None:
+        """Note that a slot has another genome, or its genome other weights, than before."""
+        self._changed.add(slot)
 
     def remove(self, slot: int) -> None:
         """Take a slot out of its species; a species without members vanishes."""
@@ -122,7 +128,9 @@ class Speciation:
 
     def _reassign(self, genomes: Sequence[Genome], order: NDArray[np.int64]) -> None:
         """Move every slot to the first species it is compatible with, one after the other."""
-        self._links.refresh(genomes)
+        for slot in self._changed:
+            self._links.write(slot, genomes[slot])
+        self._changed.clear()
         groups = [species.members for species in self.species]
         groups = self._links.regroup(groups, order, self.threshold, self.distance)
         for species, members in zip(self.species, groups, strict=False):
@@ -154,6 +162,8 @@ class Speciation:
         speciation.species = [
             Species(key, np.array(members, dtype=np.int64)) for key, members in state["species"]
         ]
+        for species in speciation.species:
+            speciation._changed.update(species.members.tolist())
         speciation.threshold = state["threshold"]
         speciation._founded = state["founded"]
         speciation._offspring = state["offspring"]

@@ -132,8 +132,9 @@ def z_scores(samples: NDArray[np.float64]) -> NDArray[np.float64]:
     centred = samples - np.add.reduce(samples) / len(samples)
     spread = np.sqrt(np.add.reduce(centred * centred) / len(samples))
     # A spread can underflow to 0 for samples that are hardly different.
-    scores = centred / np.where(spread > 0.0, spread, 1.0)
-    return np.where((samples == samples[0]).all(axis=0), 0.0, scores)
+    centred /= np.where(spread > 0.0, spread, 1.0)
+    centred[:, (samples == samples[0]).all(axis=0)] = 0.0
+    return centred
 
 
 def relative_fitness(
@@ -147,7 +148,8 @@ def relative_fitness(
     [dimensions]; fitness is the score above the lowest, so the worst has 0. Others have 0.
     """
     fitness = np.zeros(eligible.size)
-    if eligible.any():
-        scores = z_scores(averages[eligible]) @ reward_weights
-        fitness[eligible] = scores - min(0.0, float(scores.min()))
+    judged = np.flatnonzero(eligible)
+    if judged.size:
+        scores = z_scores(averages[judged]) @ reward_weights
+        fitness[judged] = scores - min(0.0, float(scores.min()))
     return fitness

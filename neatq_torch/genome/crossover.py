@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -83,8 +83,7 @@ def multipoint_average(
     return _child(first, second, genes, (weight, enabled), first_fitter, config)
 
 
-@dataclass(frozen=True)
-class _LinedUp:
+class _LinedUp(NamedTuple):
     """Where the matching genes lie, and what they say in each parent."""
 
     in_first: NDArray[np.intp]
@@ -148,22 +147,31 @@ def _with_extra_genes(child: Genome, other: Genome) -> Genome | None:
         name: np.concatenate((getattr(child, name), getattr(other, name))) for name in LINK_FIELDS
     }
     innovation, recurrent = links["link_innovation"], links["link_recurrent"]
-    nodes = child.node_id.size + new.size
     kept = _without_rivals(innovation, source, target, recurrent, child.link_weight.size)
     kept = kept[innovation[kept].argsort()]
-    forward = kept[~recurrent[kept]]
+    source, target, forward = source[kept], target[kept], ~recurrent[kept]
+    nodes = child.node_id.size + new.size
     if node_levels(source[forward], target[forward], nodes) is None:
         return None
     used = np.zeros(nodes, dtype=bool)
-    used[source[kept]] = used[target[kept]] = True
-    new = new[used[child.node_id.size :]]
+    used[source] = used[target] = used[: child.node_id.size] = True
+    index = used.cumsum() - 1
     return child.unchecked(
         **{name: column[kept] for name, column in links.items()},
-        **{
-            name: np.concatenate((getattr(child, name), getattr(other, name)[new]))
-            for name in NODE_FIELDS
-        },
+        **_with_nodes(child, other, new[used[child.node_id.size :]]),
+        source_index=index[source],
+        target_index=index[target],
     )
+
+
+def _with_nodes(child: Genome, other: Genome, new: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    """Return the child's node columns and behind them the `new` ones of another genome."""
+    if not new.size:
+        return {}
+    return {
+        name: np.concatenate((getattr(child, name), getattr(other, name)[new]))
+        for name in NODE_FIELDS
+    }
 
 
 @njit(cache=True)
@@ -175,16 +183,16 @@ def _joined_nodes(
     Returns:
         The index among all nodes of each of the `other` nodes, and which of these are new.
     """
-    place = np.empty(other.size, np.int64)
-    new = np.empty(other.size, np.int64)
+    place, new = np.empty(other.size, np.int64), np.empty(other.size, np.int64)
     count = 0
-    for i in range(other.size):
-        known = np.flatnonzero(own == other[i])
-        if known.size:
-            place[i] = known[0]
-        else:
-            place[i] = own.size + count
-            new[count] = i
+    for one in range(other.size):
+        known = 0
+        while known < own.size and own[known] != other[one]:
+            known += 1
+        place[one] = known
+        if known == own.size:
+            place[one] += count
+            new[count] = one
             count += 1
     return place, new[:count]
 

@@ -56,7 +56,12 @@ def compatibility(a: Genome, b: Genome, config: DistanceConfig) -> float:
     A gene is excess if it lies beyond the last gene of the other genome, else disjoint.
     """
     return _distance(
-        a.link_innovation, a.link_weight, b.link_innovation, b.link_weight, config.coefficients
+        a.link_innovation,
+        a.link_weight,
+        b.link_innovation,
+        b.link_weight,
+        config.coefficients,
+        np.inf,
     )
 
 
@@ -78,16 +83,18 @@ class LinkTable:
 
     def __init__(self) -> None:
         """Start without genomes."""
-        self._genomes: list[Genome | None] = []
-        self._make(0, 0)
+        self.innovation = np.zeros((0, 0), dtype=np.int64)
+        self.weight = np.zeros((0, 0), dtype=np.float32)
+        self.links = np.zeros(0, dtype=np.int64)
 
-    def refresh(self, genomes: Sequence[Genome]) -> None:
-        """Write the rows of those genomes that are others than last time."""
-        if len(genomes) != len(self._genomes):
-            self._make(len(genomes), 0)
-        known = self._genomes
-        for row in [row for row, genome in enumerate(genomes) if genome is not known[row]]:
-            self._write(row, genomes[row])
+    def write(self, row: int, genome: Genome) -> None:
+        """Make a genome's links a row, instead of those that are there."""
+        links, (rows, columns) = genome.link_weight.size, self.innovation.shape
+        if row >= rows or links > columns:
+            self._enlarge(max(rows, row + 1), max(columns, links))
+        self.innovation[row, :links] = genome.link_innovation
+        self.weight[row, :links] = genome.link_weight
+        self.links[row] = links
 
     def regroup(
         self,
@@ -124,24 +131,14 @@ class LinkTable:
         rows = np.concatenate([rows[group[rows] == old[rows]], moved])
         return [rows[group[rows] == one] for one in range(max(len(groups), group.max() + 1))]
 
-    def _write(self, row: int, genome: Genome) -> None:
-        links = genome.link_weight.size
-        if links > self.innovation.shape[1]:
-            self._widen(links)
-        self.innovation[row, :links] = genome.link_innovation
-        self.weight[row, :links] = genome.link_weight
-        self.links[row] = links
-        self._genomes[row] = genome
-
-    def _widen(self, links: int) -> None:
-        more = ((0, 0), (0, links - self.innovation.shape[1] + links // 4))
+    def _enlarge(self, rows: int, columns: int) -> None:
+        """Make room for more, and a quarter beyond, so that it seldom happens."""
+        more = [
+            (0, size + size // 4 - old if size > old else 0)
+            for size, old in zip((rows, columns), self.innovation.shape, strict=True)
+        ]
         self.innovation, self.weight = np.pad(self.innovation, more), np.pad(self.weight, more)
-
-    def _make(self, genomes: int, columns: int) -> None:
-        self._genomes = [None] * genomes
-        self.innovation = np.zeros((genomes, columns), dtype=np.int64)
-        self.weight = np.zeros((genomes, columns), dtype=np.float32)
-        self.links = np.zeros(genomes, dtype=np.int64)
+        self.links = np.pad(self.links, more[0])
 
 
 @njit(cache=True)
@@ -151,9 +148,15 @@ def _distance(
     other: Innovations,
     other_weight: Weights,
     coefficients: Coefficients,
+    limit: float,
 ) -> float:
-    """Walk along two lists of links, each sorted by innovation."""
+    """Walk along two lists of links, each sorted by innovation.
+
+    Stops with infinity as soon as the genes without a match alone are clearly beyond the limit.
+    """
     disjoint, excess, weight, normalised = coefficients
+    least = 0.0 if normalised else min(disjoint, excess)
+    limit = 1.000001 * limit  # whatever rounding does to the sums below
     i = j = matches = 0
     gaps = 0.0
     while i < own.size and j < other.size:
@@ -162,6 +165,8 @@ def _distance(
             matches += 1
             i += 1
             j += 1
+        elif least * (i + j - 2 * matches) > limit:
+            return np.inf
         elif own[i] < other[j]:
             i += 1
         else:
@@ -200,11 +205,11 @@ def _regroup(
             if first >= 0:
                 size = links[first]
                 other, other_weight = innovation[first, :size], weight[first, :size]
-                apart = _distance(own, own_weight, other, other_weight, coefficients)
+                apart = _distance(own, own_weight, other, other_weight, coefficients, threshold)
                 if apart < threshold:
                     break
             home += 1
-        old = group[row]
+        old = int(group[row])
         if home == old:
             continue
         if home == groups:
@@ -221,12 +226,12 @@ def _regroup(
 
 
 @njit(cache=True)
-def _first_of(one: np.int64, group: Rows, before: Rows, moved: Rows) -> np.int64 | int:
+def _first_of(one: int, group: Rows, before: Rows, moved: Rows) -> int:
     """Return the first row of a group, those it had `before` first; -1 if it is empty."""
     for row in before:
         if group[row] == one:
-            return row
+            return int(row)
     for row in moved:
         if group[row] == one:
-            return row
+            return int(row)
     return -1

@@ -142,7 +142,8 @@ class Genome:
 
         For operators on sound genomes whose result is sound by construction: a check would cost
         several times as much as the operator. New arrays have the right type and belong to
-        nobody else; they become read-only here. A new structure starts with empty caches.
+        nobody else; they become read-only here. A new structure starts with empty caches, but for
+        `source_index` and `target_index` where they are given.
         """
         own = self.__dict__
         if not STRUCTURE.isdisjoint(changes):

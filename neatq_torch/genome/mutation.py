@@ -10,6 +10,7 @@ from neatq_torch.genome.genome import Genome
 from neatq_torch.genome.innovation import InnovationLedger
 from neatq_torch.genome.mutation_config import MutationConfig
 from neatq_torch.genome.structural import add_link, add_node, reenable, toggle_enable
+from neatq_torch.genome.validation import check_weights
 
 Shares = tuple[float, float]
 
@@ -33,7 +34,9 @@ def mutate(
 
 def mutate_weights(genome: Genome, config: MutationConfig, rng: np.random.Generator) -> Genome:
     """Return the genome with mutated weights; disabled links mutate too."""
-    return genome.with_weights(mutated_weights(genome.link_weight, config, rng))
+    weights = mutated_weights(genome.link_weight, config, rng)
+    check_weights(genome.link_innovation, weights)
+    return genome.unchecked(link_weight=weights)
 
 
 def mutated_weights(

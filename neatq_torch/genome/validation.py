@@ -110,10 +110,10 @@ def check_weights(innovation: NDArray[np.int64], weight: NDArray[np.float32]) ->
 def _all_finite(weight: NDArray[np.float32]) -> bool:
     # Runs for every genome whenever robots write back what they learned: np.isfinite(...).all()
     # takes seven times as long.
+    finite = True
     for one in weight:
-        if not np.isfinite(one):
-            return False
-    return True
+        finite &= np.isfinite(one)
+    return finite
 
 
 def check_innovations(innovation: NDArray[np.int64]) -> None:

@@ -180,6 +180,16 @@ def test_learned_weights_are_written_back_bit_for_bit() -> None:
     assert evolution.genomes[2].genome_id == before
 
 
+def test_a_robot_that_learned_may_leave_its_species() -> None:
+    evolution = population(robots=4, species=SpeciesConfig(step=0.0, adjust_every=1))
+    live(evolution, 15, [1.0, 0.0, 2.0, 3.0])
+    assert evolution.replace()
+    evolution.write_back(2, [99.0] * 3)
+    live(evolution, 5, [1.0, 9.0, 2.0, 3.0])
+    assert evolution.replace()
+    assert [2] in [species.members.tolist() for species in evolution.species]
+
+
 @pytest.mark.parametrize("reproduction", [OPENNERO, NEAT_2002], ids=["opennero", "neat2002"])
 def test_the_same_seed_gives_the_same_run(reproduction: ReproductionConfig) -> None:
     first, second, other = (population(seed=seed, reproduction=reproduction) for seed in (3, 3, 4))

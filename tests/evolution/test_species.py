@@ -111,6 +111,17 @@ def test_reassigning_follows_the_given_order_and_sees_each_move() -> None:
     assert members(speciation) == [[1, 2], [0]]
 
 
+def test_reassigning_sees_a_genome_that_changed() -> None:
+    genomes = at(0.0, 0.0, 9.0)
+    speciation = sorted_in(genomes, threshold=2.0, step=0.0, adjust_every=1)
+    speciation.count_offspring(genomes, [0, 1, 2])
+    assert members(speciation) == [[0, 1], [2]]
+    genomes[1] = genomes[1].with_weights([9.0, 9.0])
+    speciation.changed(1)
+    speciation.count_offspring(genomes, [0, 1, 2])
+    assert members(speciation) == [[0], [2, 1]]
+
+
 def test_a_species_swallowed_by_an_older_one_vanishes() -> None:
     genomes = at(0.0, 1.2)
     speciation = sorted_in(genomes, threshold=1.0, target=1, step=0.5, adjust_every=1)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 
 import numpy as np
 import pytest
@@ -10,12 +11,15 @@ from hypothesis import strategies as st
 from neatq_torch.genome import (
     DistanceConfig,
     Genome,
+    InnovationLedger,
     LinkTable,
+    MutationConfig,
     compatibility,
     distances,
     initial_genome,
+    mutate,
 )
-from neatq_torch.genome.codec import LINK_COLUMNS
+from neatq_torch.genome.codec import LINK_COLUMNS as COLUMNS
 
 PLAIN = DistanceConfig()
 
@@ -72,6 +76,13 @@ def test_many_distances_are_those_of_the_pairs_and_symmetric(
     assert together[0] == 0.0
 
 
+def table_of(genomes: list[Genome]) -> LinkTable:
+    table = LinkTable()
+    for row, genome in enumerate(genomes):
+        table.write(row, genome)
+    return table
+
+
 def regrouped(
     groups: list[list[int]], order: list[int], place: list[float], threshold: float
 ) -> list[list[int]]:
@@ -95,8 +106,7 @@ def test_regrouping_is_that_of_members_who_move_one_by_one() -> None:
         place, group = rng.integers(16, size=12) / 8, rng.integers(4, size=12)
         rows, order = rng.permutation(12), rng.permutation(12)
         groups = [rows[group[rows] == one] for one in np.unique(group)]
-        table = LinkTable()
-        table.refresh([one.with_weights([where, where]) for where in place])
+        table = table_of([one.with_weights([where, where]) for where in place])
         threshold = float(rng.integers(2, 10) / 8)
         moved = table.regroup(groups, order, threshold, DistanceConfig(weight=1.0))
         before = [members.tolist() for members in groups]
@@ -104,22 +114,36 @@ def test_regrouping_is_that_of_members_who_move_one_by_one() -> None:
         assert [members.tolist() for members in moved] == expected
 
 
-def test_a_table_sees_genomes_that_were_exchanged_or_grew(small: Genome) -> None:
-    short = small.replaced(**{name: getattr(small, name)[:3] for name in LINKS})
-    table, groups = LinkTable(), [np.array([0, 1, 2])]
-    for genomes, expected in [
-        ([short, short, short], [[0, 1, 2]]),
-        ([short, small, short], [[0, 2], [1]]),
-        ([short, short, short.with_weights([9.0] * 3)], [[0, 1], [2]]),
-        ([small, short], [[0], [1]]),
+def test_a_row_may_hold_a_longer_or_a_shorter_genome_than_before(small: Genome) -> None:
+    short = small.replaced(
+        **{f"link_{name}": getattr(small, f"link_{name}")[:3] for name in COLUMNS}
+    )
+    table, order = table_of([short, short, short]), np.arange(3)
+    for row, genome, expected in [
+        (0, short, [[0, 1, 2]]),
+        (1, small, [[0, 2], [1]]),
+        (1, short.with_weights([9.0] * 3), [[0, 2], [1]]),
+        (1, short, [[0, 1, 2]]),
     ]:
-        table.refresh(genomes)
-        order = np.arange(len(genomes))
-        found = table.regroup([one[one < len(genomes)] for one in groups], order, 1.0, PLAIN)
-        assert [members.tolist() for members in found] == expected
+        table.write(row, genome)
+        groups = table.regroup([np.array([0, 1, 2])], order, 1.0, PLAIN)
+        assert [members.tolist() for members in groups] == expected
 
 
-LINKS = [f"link_{name}" for name in LINK_COLUMNS]
+@pytest.mark.parametrize("normalised", [False, True])
+def test_regrouping_measures_as_compatibility_does(normalised: bool) -> None:
+    rng = np.random.default_rng(0)
+    config = DistanceConfig(disjoint=0.3, excess=0.7, normalised=normalised)
+    founders = [initial_genome(8, 3, rng=rng, genome_id=number) for number in range(30)]
+    ledger, growth = InnovationLedger.for_genomes(founders), MutationConfig(add_link_prob=0.9)
+    genomes = [
+        reduce(lambda one, _: mutate(one, growth, ledger, rng), range(8), g) for g in founders
+    ]
+    table, pair = table_of(genomes), [np.array([0]), np.arange(1, 30)]
+    apart = distances(genomes[0], genomes, config)
+    for threshold in [*apart[1:], *np.nextafter(apart[1:], np.inf)]:
+        first, *_ = table.regroup(pair, np.arange(30), threshold, config)
+        assert sorted(first) == np.flatnonzero(apart < threshold).tolist()
 
 
 def test_a_negative_coefficient_is_refused() -> None:
