@@ -87,6 +87,7 @@ class EpsilonGreedy(nn.Module):
             raise ValueError(f"expected one seed for each arena of {shape}, got {len(seeds)}")
         self.max_hold_ticks = max_hold_ticks
         self.tick = 0
+        self._candidates = 0  # for which numbers are drawn; 0: none are
         place = torch.tensor([[_signed(seed * _STEP)] for seed in seeds])
         robots = torch.tensor([_signed(robot * _STEP) for robot in range(shape[1])])
         keys = _scramble(_scramble(place) + robots)
@@ -111,11 +112,10 @@ class EpsilonGreedy(nn.Module):
         greedy = values.argmax(-1)
         if exploration_type() not in (None, ExplorationType.RANDOM) or values.shape[-1] == 1:
             return greedy
-        place = self._next_tick()
+        place = self._next_tick(values.shape[-1])
         running = self.until_tick >= self.tick
-        start = (self._chance[place] < self.epsilon) & ~running
-        choice = (self._choice[place] * values.shape[-1]).long()
-        self.held = torch.where(start, choice, self.held)
+        start = (self._chance[place] < self.epsilon) > running
+        self.held = torch.where(start, self._choice[place], self.held)
         self.until_tick = torch.where(start, self._end[place], self.until_tick)
         return torch.where(running | start, self.held, greedy)
 
@@ -131,24 +131,26 @@ class EpsilonGreedy(nn.Module):
     def load_state(self, state: dict[str, Any]) -> None:
         """Go on from `state`."""
         self.tick = state["tick"]
-        self._end = self._end[:0]
+        self._candidates = 0
         for name in ("epsilon", "held", "until_tick"):
             setattr(self, name, torch.as_tensor(state[name]).to(getattr(self, name)))
 
-    def _next_tick(self) -> int:
+    def _next_tick(self, candidates: int) -> int:
         """Begin a tick; returns its place in the numbers drawn."""
         self.tick += 1
         place = self.tick % _DRAWN_TICKS
-        if place == 0 or not len(self._end):
-            self._draw(self.tick - place)
+        if place == 0 or candidates != self._candidates:
+            self._draw(self.tick - place, candidates)
         return place
 
-    def _draw(self, first: int) -> None:
+    def _draw(self, first: int, candidates: int) -> None:
         """Draw for the ticks from `first` on [ticks, *shape]."""
         steps = [_signed(tick * _STEP) for tick in range(first, first + _DRAWN_TICKS)]
         bits = self._keys.unsqueeze(1) + self._keys.new_tensor(steps).view(-1, 1, 1)
         uniform = _shift_right(_scramble(bits), 40) * 2.0**-24
-        self._chance, self._choice, duration = uniform
+        self._chance, choice, duration = uniform
+        self._choice = (choice * candidates).long()
         hold = (1 / (1 - duration)).clamp_max(self.max_hold_ticks).long()
         ticks = torch.arange(first, first + _DRAWN_TICKS, device=hold.device)
         self._end = hold + (ticks - 1).view(-1, 1, 1)
+        self._candidates = candidates
