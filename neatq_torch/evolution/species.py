@@ -128,8 +128,8 @@ class Speciation:
 
     def _reassign(self, genomes: Sequence[Genome], order: NDArray[np.int64]) -> None:
         """Move every slot to the first species it is compatible with, one after the other."""
-        for slot in self._changed:
-            self._links.write(slot, genomes[slot])
+        changed = list(self._changed)
+        self._links.write(changed, [genomes[slot] for slot in changed])
         self._changed.clear()
         groups = [species.members for species in self.species]
         groups = self._links.regroup(groups, order, self.threshold, self.distance)

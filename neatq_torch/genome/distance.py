@@ -87,14 +87,18 @@ class LinkTable:
         self.weight = np.zeros((0, 0), dtype=np.float32)
         self.links = np.zeros(0, dtype=np.int64)
 
-    def write(self, row: int, genome: Genome) -> None:
-        """Make a genome's links a row, instead of those that are there."""
-        links, (rows, columns) = genome.link_weight.size, self.innovation.shape
-        if row >= rows or links > columns:
-            self._enlarge(max(rows, row + 1), max(columns, links))
-        self.innovation[row, :links] = genome.link_innovation
-        self.weight[row, :links] = genome.link_weight
-        self.links[row] = links
+    def write(self, rows: Sequence[int], genomes: Sequence[Genome]) -> None:
+        """Make the links of each genome a row, instead of those that are there."""
+        if not rows:
+            return
+        links = np.array([genome.link_weight.size for genome in genomes])
+        self._make_room(max(rows) + 1, links.max())
+        filled = np.arange(links.max()) < links[:, None]
+        for table, name in ((self.innovation, "link_innovation"), (self.weight, "link_weight")):
+            block = np.zeros(filled.shape, table.dtype)
+            block[filled] = np.concatenate([getattr(genome, name) for genome in genomes])
+            table[rows, : links.max()] = block
+        self.links[rows] = links
 
     def regroup(
         self,
@@ -131,14 +135,15 @@ class LinkTable:
         rows = np.concatenate([rows[group[rows] == old[rows]], moved])
         return [rows[group[rows] == one] for one in range(max(len(groups), group.max() + 1))]
 
-    def _enlarge(self, rows: int, columns: int) -> None:
-        """Make room for more, and a quarter beyond, so that it seldom happens."""
+    def _make_room(self, rows: int, columns: int) -> None:
+        """See to so many rows and columns; where they are new, to a quarter more."""
         more = [
-            (0, size + size // 4 - old if size > old else 0)
-            for size, old in zip((rows, columns), self.innovation.shape, strict=True)
+            (0, wanted + wanted // 4 - had if wanted > had else 0)
+            for wanted, had in zip((rows, columns), self.innovation.shape, strict=True)
         ]
-        self.innovation, self.weight = np.pad(self.innovation, more), np.pad(self.weight, more)
-        self.links = np.pad(self.links, more[0])
+        if any(new for _, new in more):
+            self.innovation, self.weight = np.pad(self.innovation, more), np.pad(self.weight, more)
+            self.links = np.pad(self.links, more[0])
 
 
 @njit(cache=True)

@@ -78,8 +78,7 @@ def test_many_distances_are_those_of_the_pairs_and_symmetric(
 
 def table_of(genomes: list[Genome]) -> LinkTable:
     table = LinkTable()
-    for row, genome in enumerate(genomes):
-        table.write(row, genome)
+    table.write(range(len(genomes)), genomes)
     return table
 
 
@@ -125,15 +124,21 @@ def test_a_row_may_hold_a_longer_or_a_shorter_genome_than_before(small: Genome) 
         (1, short.with_weights([9.0] * 3), [[0, 2], [1]]),
         (1, short, [[0, 1, 2]]),
     ]:
-        table.write(row, genome)
+        table.write([row], [genome])
         groups = table.regroup([np.array([0, 1, 2])], order, 1.0, PLAIN)
         assert [members.tolist() for members in groups] == expected
 
 
-@pytest.mark.parametrize("normalised", [False, True])
-def test_regrouping_measures_as_compatibility_does(normalised: bool) -> None:
+@pytest.mark.parametrize(
+    "config",
+    [
+        DistanceConfig(weight=0.0),
+        DistanceConfig(disjoint=0.3, excess=0.7),
+        DistanceConfig(normalised=True),
+    ],
+)
+def test_regrouping_measures_as_compatibility_does(config: DistanceConfig) -> None:
     rng = np.random.default_rng(0)
-    config = DistanceConfig(disjoint=0.3, excess=0.7, normalised=normalised)
     founders = [initial_genome(8, 3, rng=rng, genome_id=number) for number in range(30)]
     ledger, growth = InnovationLedger.for_genomes(founders), MutationConfig(add_link_prob=0.9)
     genomes = [
