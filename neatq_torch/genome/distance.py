@@ -129,7 +129,8 @@ class LinkTable:
         group = old.copy()
         genes = self.innovation, self.weight, self.links
         starts = np.cumsum([0, *sizes])
-        moved = _regroup(order, group, rows, starts, genes, threshold, config.coefficients)
+        limit = float(threshold)
+        moved = _regroup(order, group, rows, starts, genes, limit, config.coefficients)
         if not moved.size:
             return list(groups)
         rows = np.concatenate([rows[group[rows] == old[rows]], moved])

@@ -129,6 +129,12 @@ def test_a_row_may_hold_a_longer_or_a_shorter_genome_than_before(small: Genome) 
         assert [members.tolist() for members in groups] == expected
 
 
+def test_genomes_without_links_are_regrouped(make_genome: Callable[..., Genome]) -> None:
+    table = table_of([make_genome([]), make_genome([])])
+    (group,) = table.regroup([np.array([0]), np.array([1])], np.arange(2), 1.0, PLAIN)[:1]
+    assert group.tolist() == [0, 1]
+
+
 @pytest.mark.parametrize(
     "config",
     [

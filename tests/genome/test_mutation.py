@@ -9,6 +9,7 @@ import pytest
 
 from neatq_torch.genome import (
     Genome,
+    GenomeError,
     InnovationLedger,
     MutationConfig,
     NodeKind,
@@ -125,6 +126,14 @@ def test_two_genomes_that_split_the_same_link_share_the_node(small: Genome) -> N
     assert identical(*children)
     again = children[0].replaced(link_enabled=[False, True] + [False] * 5)
     assert add_node(again, PLAIN, ledger, np.random.default_rng(3)).node_id[-1] == 7
+
+
+def test_a_ledger_that_does_not_know_the_genome_is_found_out(small: Genome) -> None:
+    config = MutationConfig(recurrent_link_prob=0.0, new_link_tries=200)
+    for mutation in (add_node, add_link):
+        ledger = InnovationLedger(next_innovation=3, next_node_id=9)
+        with pytest.raises(GenomeError, match="innovation 3 occurs more than once"):
+            mutation(small, config, ledger, np.random.default_rng(0))
 
 
 def test_a_genome_without_free_place_stays_as_it_is() -> None:

@@ -18,6 +18,7 @@ from neatq_torch.genome import (
     multipoint_average,
     mutate,
 )
+from neatq_torch.genome.genome import COLUMNS
 
 WILD = MutationConfig(
     add_node_prob=0.3,
@@ -61,7 +62,11 @@ def evolve(seed: int, steps: int, keep_all_genes: bool) -> list[Genome]:
 def test_variation_keeps_every_genome_sound(seed: int, steps: int, keep_all: bool) -> None:
     for genome in evolve(seed, steps, keep_all):
         assert is_sound(genome)
-        assert identical(Genome.from_json(genome.to_json()), genome)
+        checked = Genome.from_json(genome.to_json())
+        assert identical(checked, genome)
+        for name in ("source_index", "target_index", "node_order"):
+            assert getattr(genome, name).tolist() == getattr(checked, name).tolist()
+        assert not any(getattr(genome, name).flags.writeable for name in COLUMNS)
         assert genome.input_ids.tolist() == [1, 2]
         assert genome.output_ids.tolist() == [4, 5]
         assert np.abs(genome.link_weight).max() <= 3.0
