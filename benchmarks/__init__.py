@@ -1,0 +1,1 @@
+"""What the parts cost, measured beside something known: `python -m benchmarks --help`."""

@@ -1,0 +1,23 @@
+"""`neatq train` with 20 arenas of 50 robots in one run: arm `neatq`, task `wall`, wall time.
+
+As `trainer`, from tick 1,000 to tick 2,600. With every core that the trainer takes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from benchmarks.result import Line, cost_at_most
+from benchmarks.training import whole_run
+from neatq_trainers.config import preset
+
+
+def run(quick: bool) -> list[Line]:
+    """Measure a tick of twenty arenas."""
+    return whole_run(
+        "a tick of 20 arenas x 50 robots",
+        replace(preset("wall", "neatq"), arenas=20),
+        ticks=(1000, 1200) if quick else (1000, 2600),
+        rounds=1 if quick else 3,
+        goal=cost_at_most(2000, "at least 500,000 robot-steps/s"),
+    )

@@ -1,0 +1,83 @@
+"""What learning adds to acting: 50 robots whose networks have 18 inputs and 50 outputs.
+
+The arm `described` with the sensors of the published code: ten candidates of four actions and a
+value for each, 950 links at the start. Batches of 40 ticks, as in a run.
+
+"update" is forward, TD error, backward and update of all networks (`CandidateTDLoss`, `TDLearner`)
+for recorded batches, beside a tick of the collector that recorded them: acting, the arena, TorchRL.
+CPU time. "whole trainer" compares `neatq train` with learning and without it, all else equal, in
+wall time: it has the writing back of weights in it, and all the noise of two runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from benchmarks.measure import in_rounds, interleaved
+from benchmarks.result import Goal, Line, compare
+from benchmarks.training import trainer_tick_seconds
+from neatq_trainers.build import build
+from neatq_trainers.config import RunConfig, preset
+from neatq_trainers.train import make_collector
+
+SHARE = 0.25
+PAPER = "The paper reported 40 % on top."
+
+
+def run(quick: bool) -> list[Line]:
+    """Measure the update alone and the whole trainer."""
+    learning = _described()
+    without = replace(
+        learning, learning=replace(learning.learning, rule="none", inheritance="darwinian")
+    )
+    return [_update(learning, rounds=3 if quick else 9), _whole(learning, without, quick)]
+
+
+def _described() -> RunConfig:
+    config = preset("wall", "described")
+    return replace(config, scenario=config.scenario.replaced(sensors="opennero"))
+
+
+def _update(config: RunConfig, rounds: int) -> Line:
+    collect, update = _acting_and_learning(config)
+    samples = interleaved({"act": collect, "learn": update}, rounds=rounds, seconds=0.5)
+    micros = {name: seconds / config.ticks_per_batch * 1e6 for name, seconds in samples.items()}
+    return compare(
+        "update, a tick",
+        micros["learn"],
+        "collecting it",
+        micros["act"],
+        unit="us",
+        goal=Goal(text="at most 25 % on top", limit=SHARE, of="ratio"),
+        note=PAPER,
+    )
+
+
+def _acting_and_learning(
+    config: RunConfig,
+) -> tuple[Callable[[], object], Callable[[], object]]:
+    run = build(config)
+    batches = iter(make_collector(run))
+    recorded = next(batches).clone()
+    return lambda: next(batches), lambda: run.learner.update(recorded.clone(False))
+
+
+def _whole(learning: RunConfig, without: RunConfig, quick: bool) -> Line:
+    ticks, rounds = ((1000, 1800), 1) if quick else ((1000, 4000), 3)
+    samples = in_rounds(
+        {
+            "with": lambda: trainer_tick_seconds(learning, ticks),
+            "without": lambda: trainer_tick_seconds(without, ticks),
+        },
+        rounds=rounds,
+    )
+    return compare(
+        "whole trainer, a tick",
+        samples["with"] * 1e6,
+        "the same without learning",
+        samples["without"] * 1e6,
+        unit="us",
+        goal=Goal(text="at most 25 % on top", limit=1 + SHARE, of="ratio"),
+        note=PAPER,
+    )

@@ -1,0 +1,23 @@
+"""`neatq train` with 1 arena of 50 robots: arm `neatq`, task `wall`, learning on, wall time.
+
+From tick 1,000, when evolution begins, to tick 5,000: two runs of those lengths, subtracted, so
+start-up does not count. TorchRL's collector with a random policy and the bare arena, in the same
+worlds, show where the time goes: their cost is part of ours.
+"""
+
+from __future__ import annotations
+
+from benchmarks.result import Line, cost_at_most
+from benchmarks.training import whole_run
+from neatq_trainers.config import preset
+
+
+def run(quick: bool) -> list[Line]:
+    """Measure a tick of one arena."""
+    return whole_run(
+        "a tick of 1 arena x 50 robots",
+        preset("wall", "neatq"),
+        ticks=(1000, 1800) if quick else (1000, 5000),
+        rounds=1 if quick else 3,
+        goal=cost_at_most(500, "at least 2,000 ticks/s"),
+    )
