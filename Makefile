@@ -21,7 +21,7 @@ WHEEL_DIR := build/wheel
 export OMP_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help train test format clean
+.PHONY: help train test bench format clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' Makefile
@@ -39,6 +39,9 @@ test: $(VENV)/test.stamp ## check everything: style, types, layers, wheel, tests
 	$(BIN)/python -m build --wheel --no-isolation --outdir $(WHEEL_DIR)
 	$(BIN)/check-wheel-contents $(WHEEL_DIR)
 	$(BIN)/python -m pytest -n $(WORKERS)
+
+bench: $(VENV)/bench.stamp ## measure what the parts cost, ten minutes; results in docs/benchmarks.md
+	$(BIN)/python -m benchmarks --save
 
 format: $(VENV)/test.stamp ## mend style and order of imports
 	$(BIN)/ruff check --fix .
@@ -59,4 +62,8 @@ $(VENV)/train.stamp: pyproject.toml constraints.txt
 
 $(VENV)/test.stamp: $(VENV)/train.stamp
 	$(INSTALL) '.[dev]'
+	@touch $@
+
+$(VENV)/bench.stamp: $(VENV)/train.stamp
+	$(INSTALL) '.[bench]'
 	@touch $@

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import time
 
-import neat
 import numpy as np
 
 from benchmarks import neat_python
@@ -75,7 +74,7 @@ class Generations:
 
     def __init__(self) -> None:
         self.rng = np.random.default_rng(0)
-        self.population = neat.Population(neat_python.configuration(), seed=0)
+        self.population = neat_python.population(seed=0)
         self.birth_seconds()
 
     def birth_seconds(self) -> float:

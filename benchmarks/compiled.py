@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +17,8 @@ from numpy.typing import NDArray
 from neatq_torch.genome import ACTIVATIONS, Genome, NodeKind, node_levels
 
 try:
-    from numba import njit
-except ImportError:  # then there is no such row
+    njit: Any = import_module("numba").njit
+except ImportError:  # then there is no such line
     njit = None
 
 SIGMOID = ACTIVATIONS.index("sigmoid")
@@ -33,12 +35,12 @@ def compiled(genomes: list[Genome]) -> Callable[[Array], Array] | None:
         return None
     first = genomes[0]
     inputs, outputs = len(first.input_ids), len(first.output_ids)
-    flat = _flattened(genomes)
+    node_first, output, link_first, source, weight = _flattened(genomes)
     run = njit(_evaluate)
 
     def forward(observation: Array) -> Array:
         result = np.empty((len(genomes), outputs), np.float32)
-        run(observation, *flat, inputs, result)
+        run(observation, node_first, output, link_first, source, weight, inputs, result)
         return result
 
     forward(np.zeros((len(genomes), inputs), np.float32))  # compile
@@ -59,7 +61,7 @@ def evaluation_order(genome: Genome) -> tuple[NDArray[np.intp], NDArray[np.intp]
     return enabled, nodes[np.argsort(levels[nodes], kind="stable")]
 
 
-def _flattened(genomes: list[Genome]) -> tuple[NDArray, ...]:
+def _flattened(genomes: list[Genome]) -> list[NDArray]:
     """First node of each network, then of nodes: output or -1, first link; then of links."""
     node_first, output, link_first, source, weight = [0], [], [0], [], []
     for genome in genomes:
@@ -78,10 +80,10 @@ def _flattened(genomes: list[Genome]) -> tuple[NDArray, ...]:
             output.append(number[node])
         node_first.append(len(output))
     whole = [np.array(part, np.int32) for part in (node_first, output, link_first, source)]
-    return *whole, np.array(weight, np.float32)
+    return [*whole, np.array(weight, np.float32)]
 
 
-def _evaluate(  # noqa: PLR0913
+def _evaluate(
     observation: Array,
     node_first: NDArray[np.int32],
     output: NDArray[np.int32],

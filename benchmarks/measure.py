@@ -1,4 +1,4 @@
-"""How things are timed: in rounds, each thing once in each round, so that all see the same noise."""
+"""How things are timed: in rounds, each thing once in each, so that all see the same noise."""
 
 from __future__ import annotations
 

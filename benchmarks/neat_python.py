@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import neat
 import numpy as np
-from neat.genes import DefaultConnectionGene, DefaultNodeGene
 
 from neatq_torch.genome import Genome, NodeKind
+
+neat: Any = import_module("neat")  # of the extra `bench`; without types
+genes: Any = import_module("neat.genes")
 
 CONFIG = Path(__file__).with_suffix(".cfg")
 
 
-def configuration() -> neat.Config:
+def configuration() -> Any:
     """The settings in `neat_python.cfg`: 20 inputs, 3 outputs, a population of 1,000."""
     return neat.Config(
         neat.DefaultGenome,
@@ -25,7 +27,12 @@ def configuration() -> neat.Config:
     )
 
 
-def network(genome: Genome, config: neat.Config) -> neat.nn.FeedForwardNetwork:
+def population(seed: int) -> Any:
+    """A population of fully connected genomes, sorted into species."""
+    return neat.Population(configuration(), seed=seed)
+
+
+def network(genome: Genome, config: Any) -> Any:
     """The same computation: links of the bias become the biases of their targets."""
     other = neat.DefaultGenome(genome.genome_id)
     keys = _keys(genome)
@@ -55,19 +62,14 @@ def _keys(genome: Genome) -> np.ndarray:
     return keys
 
 
-def _node(key: int) -> DefaultNodeGene:
-    # Its sigmoid has slope 5, ours 1.
-    return _with(DefaultNodeGene(key), bias=0.0, response=0.2, activation="sigmoid")
+def _node(key: int) -> Any:
+    gene = genes.DefaultNodeGene(key)
+    gene.activation, gene.aggregation = "sigmoid", "sum"
+    gene.bias, gene.response = 0.0, 0.2  # its sigmoid has slope 5, ours 1
+    return gene
 
 
-def _link(source: int, target: int, weight: float, innovation: int) -> DefaultConnectionGene:
-    gene = DefaultConnectionGene((source, target), innovation=innovation)
-    return _with(gene, weight=weight, enabled=True)
-
-
-def _with(gene: Any, **values: Any) -> Any:
-    for name, value in values.items():
-        setattr(gene, name, value)
-    if isinstance(gene, DefaultNodeGene):
-        setattr(gene, "aggregation", "sum")  # noqa: B010  (neat-python declares no attributes)
+def _link(source: int, target: int, weight: float, innovation: int) -> Any:
+    gene = genes.DefaultConnectionGene((source, target), innovation=innovation)
+    gene.weight, gene.enabled = weight, True
     return gene

@@ -77,7 +77,7 @@ class Line:
         return value is not None and value.median <= self.goal.limit
 
 
-def compare(  # noqa: PLR0913
+def compare(
     what: str,
     ours: np.ndarray,
     reference: str = "",
@@ -108,7 +108,7 @@ def cost_at_most(limit: float, text: str) -> Goal:
 def times_at_most(limit: float) -> Goal:
     """Our cost must not be larger than `limit` times the reference's."""
     if limit >= 1:
-        text = "no dearer" if limit == 1 else f"at most {limit:g} times the cost"
+        text = "cheaper" if limit == 1 else f"at most {limit:g} times the cost"
     else:
         text = f"at least {1 / limit:g} times cheaper"
     return Goal(text=text, limit=limit, of="ratio")

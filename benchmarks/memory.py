@@ -1,0 +1,167 @@
+"""What networks and learner keep in memory.
+
+Bytes of all tensors, and growth of the resident set (networks, plans, learner with its moments;
+genomes and one forward pass come before it), each in a fresh process. "linear in links" compares
+networks with twice the links: 2 means that twice the links take twice the bytes.
+
+`python -m benchmarks memory --ticks 1000000 --save` measures another thing and takes long:
+the resident set of `neatq train` (1 arena, arm `neatq`), sampled twenty times, as a slope over the
+second half of the run. Networks grow while they evolve, so some growth is not a leak.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benchmarks.genomes import LINKS, enabled_links, evolved
+from benchmarks.measure import in_fresh_process, resident_bytes
+from benchmarks.result import Line, compare, cost_at_most, times_at_most
+from neatq_torch.genome import Genome
+from neatq_torch.learning import (
+    CandidateHeads,
+    CandidateTDLoss,
+    CandidateValue,
+    LearnerConfig,
+    TDLearner,
+)
+from neatq_torch.network import PopulationNetwork
+
+ROBOTS = 20 * 50
+CANDIDATES, ACTIONS = 5, 2  # of the arm neatq, which has 12 inputs
+OUTPUTS = CANDIDATES * (ACTIONS + 1)
+ARM_LINKS = (200, 230)  # 195 at the start
+SAMPLES = 20
+LEAK_BYTES = 1000.0
+
+
+def run(quick: bool) -> list[Line]:
+    """Measure both populations, and one with twice the links."""
+    many, rounds = (500, 1) if quick else (5000, 3)
+    twice = (2 * LINKS[0], 2 * LINKS[1])
+    arm = [in_fresh_process(footprint, ROBOTS, 12, OUTPUTS, ARM_LINKS) for _ in range(rounds)]
+    small = [in_fresh_process(footprint, many, 20, 3, LINKS) for _ in range(rounds)]
+    large = [in_fresh_process(footprint, many, 20, 3, twice) for _ in range(rounds)]
+    return [
+        *_lines("20 x 50 networks of the arm neatq, moments of Adam", arm, ROBOTS),
+        *_lines(f"{many:,} networks of {LINKS[0]} to {LINKS[1]} links", small, many),
+        _linearity(many, small, large),
+    ]
+
+
+Footprint = tuple[int, int, int]
+
+
+def _lines(what: str, found: list[Footprint], networks: int) -> list[Line]:
+    tensors, resident, links = np.array(found, float).T
+    return [
+        compare(
+            f"{what}: a {name}",
+            resident / count,
+            "its tensors alone",
+            tensors / count,
+            unit="bytes",
+        )
+        for name, count in (("network", networks), ("link", links))
+    ]
+
+
+def _linearity(networks: int, small: list[Footprint], large: list[Footprint]) -> Line:
+    one, two = np.array(small, float), np.array(large, float)
+    more = (two[:, 2] / one[:, 2]).mean()
+    return compare(
+        f"a network of {more:.2f} times the links",
+        two[:, 1] / networks,
+        f"one of {LINKS[0]} to {LINKS[1]} links",
+        one[:, 1] / networks,
+        unit="bytes",
+        goal=times_at_most(round(1.1 * more, 2)),
+        note="Linear would be the ratio of the links.",
+    )
+
+
+def footprint(networks: int, inputs: int, outputs: int, links: tuple[int, int]) -> Footprint:
+    """Bytes of tensors, growth of the resident set, and links; to be called in a fresh process."""
+    genomes = evolved(networks, seed=5, inputs=inputs, outputs=outputs, links=links)
+    warm = _used(genomes[:2])  # what is loaded or compiled once does not count
+    gc.collect()
+    before = resident_bytes(os.getpid()), _tensor_bytes()
+    kept = _used(genomes)
+    gc.collect()
+    after = resident_bytes(os.getpid()), _tensor_bytes()
+    del kept, warm
+    return after[1] - before[1], after[0] - before[0], enabled_links(genomes)
+
+
+def _used(genomes: list[Genome]) -> TDLearner:
+    """Networks that have been evaluated once, and their learner."""
+    network = PopulationNetwork(genomes)
+    values = network.outputs // (ACTIONS + 1)
+    heads = CandidateHeads(values, [0.0] * ACTIONS, [1.0] * ACTIONS)
+    if heads.outputs != network.outputs:  # no values among the outputs: one candidate
+        heads = CandidateHeads(1, [0.0] * network.outputs, [1.0] * network.outputs)
+    loss = CandidateTDLoss(CandidateValue(network, heads))
+    learner = TDLearner(network, loss, LearnerConfig(optimizer="adam"))
+    with torch.no_grad():
+        network(torch.zeros(len(genomes), network.inputs))
+    return learner
+
+
+def _tensor_bytes() -> int:
+    tensors = [one for one in gc.get_objects() if isinstance(one, torch.Tensor)]
+    storages = {one.untyped_storage().data_ptr(): one.untyped_storage() for one in tensors}
+    return sum(storage.nbytes() for storage in storages.values())
+
+
+def run_long(ticks: int) -> list[Line]:
+    """The resident set of a run of so many ticks."""
+    with tempfile.TemporaryDirectory() as folder:
+        samples = _watch(Path(folder) / "run", ticks)
+    half = samples[samples[:, 0] >= ticks / 2]
+    slope = np.polyfit(half[:, 0] / 1000, half[:, 1], 1)[0]
+    course = ", ".join(f"{size / 2**20:.0f}" for _, size in samples)
+    return [
+        compare(
+            f"{ticks:,} ticks of 1 x 50 robots: growth in 1,000 ticks of the second half",
+            np.array([slope]),
+            unit="bytes",
+            goal=cost_at_most(LEAK_BYTES, f"at most {LEAK_BYTES:,.0f} bytes"),
+            note=f"MiB, every {ticks // SAMPLES:,} ticks: {course}.",
+        )
+    ]
+
+
+def _watch(out: Path, ticks: int) -> np.ndarray:
+    """Tick and resident bytes [samples, 2] of `neatq train`."""
+    code = "import sys; from neatq_trainers.cli import main; sys.exit(main(sys.argv[1:]))"
+    arguments = ["train", "--ticks", str(ticks), "--out", str(out)]
+    samples: list[tuple[int, int]] = []
+    with subprocess.Popen([sys.executable, "-c", code, *arguments]) as process:
+        while process.poll() is None:
+            time.sleep(0.1)
+            tick = _last_tick(out / "metrics.csv")
+            due = (len(samples) + 1) * (ticks // SAMPLES)
+            if due <= tick < ticks:  # at the end it draws pictures
+                samples.append((tick, resident_bytes(process.pid)))
+    if process.returncode:
+        raise RuntimeError(f"neatq train ended with status {process.returncode}")
+    return np.array(samples)
+
+
+def _last_tick(metrics: Path) -> int:
+    """The last tick of which all is written in metrics.csv."""
+    if not metrics.exists():
+        return 0
+    with metrics.open("rb") as file:
+        file.seek(max(0, metrics.stat().st_size - 4096))
+        lines = file.read().split(b"\n")
+    cells = lines[-2].split(b",") if len(lines) > 1 else []
+    return int(cells[1]) if len(cells) > 1 and cells[1].isdigit() else 0
