@@ -1,0 +1,192 @@
+"""What a tick, an update and a replacement cost, counted in calls: a clock would flake.
+
+A count tells whether something loops in Python over robots or networks, and whether something is
+kept that should not be. How long a call takes is what `make bench` measures.
+"""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDictBase
+from torch.utils._python_dispatch import TorchDispatchMode
+from torchrl.collectors import Collector
+
+from neatq_torch.genome import InnovationLedger, MutationConfig, initial_genome, mutate
+from neatq_torch.network import PopulationNetwork
+from neatq_trainers.build import Run, build
+from neatq_trainers.config import preset
+
+# Upper bounds, about 1.3 times what was counted: releases of torch, TorchRL and Python differ by a
+# few percent. To count again: python -m pytest tests/test_cost.py -rP
+CALLS_PER_TICK = 2600
+CALLS_PER_TICK_AND_ARENA = 34
+OPERATORS_PER_TICK = 145
+CALLS_PER_UPDATE = 3200
+OPERATORS_PER_UPDATE = 275
+CALLS_PER_REPLACEMENT = 690
+
+TICKS = 10
+FEW, MANY = 10, 40
+
+
+class _Operators(TorchDispatchMode):
+    """Counts torch's operators, those of the backward pass as well."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        self.count += 1
+        return func(*args, **(kwargs or {}))
+
+
+def operators(action: Callable[[], object]) -> int:
+    with _Operators() as counted:
+        action()
+    return counted.count
+
+
+def calls(action: Callable[[], object]) -> int:
+    """Calls of Python functions and of built-in ones."""
+    count = 0
+
+    def note(_: Any, event: str, __: Any) -> None:
+        nonlocal count
+        count += event in ("call", "c_call")
+
+    before = sys.getprofile()
+    gc.disable()  # a collection in between would call finalisers
+    sys.setprofile(note)
+    try:
+        action()
+    finally:
+        sys.setprofile(before)
+        gc.enable()
+    return count
+
+
+class Team:
+    """Robots of the arm neatq that never end a life, a few batches after their birth."""
+
+    def __init__(self, *, arenas: int = 1, robots: int = FEW, ticks: int = TICKS) -> None:
+        config = preset("wall", "neatq")
+        scenario = config.scenario.replaced(robots=robots, lifetime_ticks=0)
+        self.run: Run = build(replace(config, scenario=scenario, arenas=arenas, batch_ticks=ticks))
+        collector = Collector(
+            self.run.env,
+            self.run.policy,  # pyright: ignore[reportArgumentType]
+            frames_per_batch=arenas * robots * ticks,
+            total_frames=-1,
+            auto_register_policy_transforms=False,
+            use_buffers=False,
+        )
+        self._batches: Iterator[TensorDictBase] = iter(collector)
+        for _ in range(3):  # whatever is made once is made now
+            self.live()
+
+    def act(self) -> TensorDictBase:
+        return next(self._batches)
+
+    def learn(self, batch: TensorDictBase) -> None:
+        self.run.learner.update(batch)
+
+    def live(self) -> None:
+        batch = self.act()
+        self.learn(batch)
+        rewards = batch.get(("next", "reward_vector")).numpy()
+        for population, reward in zip(self.run.populations, rewards, strict=True):
+            population.record(reward)
+
+    def counts(self) -> dict[str, int]:
+        """Calls and operators of one batch and of one update."""
+        batch = self.act()
+        return {
+            "calls to act": calls(self.act),
+            "operators to act": operators(self.act),
+            "calls to learn": calls(lambda: self.learn(batch)),
+            "operators to learn": operators(lambda: self.learn(batch)),
+        }
+
+
+@pytest.fixture(scope="module")
+def few() -> dict[str, int]:
+    return Team(robots=FEW).counts()
+
+
+def test_nothing_loops_over_robots_in_python(few: dict[str, int]) -> None:
+    assert Team(robots=MANY).counts() == few
+
+
+def test_an_arena_more_costs_a_few_calls_and_no_operator(few: dict[str, int]) -> None:
+    two, four = Team(arenas=2).counts(), Team(arenas=4).counts()
+    assert four["operators to act"] == two["operators to act"] == few["operators to act"]
+    assert four["operators to learn"] == two["operators to learn"] == few["operators to learn"]
+    assert four["calls to learn"] == two["calls to learn"] == few["calls to learn"]
+    more = (four["calls to act"] - two["calls to act"]) / 2 / TICKS
+    _check("CALLS_PER_TICK_AND_ARENA", more, CALLS_PER_TICK_AND_ARENA)
+
+
+def test_counts_stay_within_their_bounds(few: dict[str, int]) -> None:
+    _check("CALLS_PER_TICK", few["calls to act"] / TICKS, CALLS_PER_TICK)
+    _check("OPERATORS_PER_TICK", few["operators to act"] / TICKS, OPERATORS_PER_TICK)
+    _check("CALLS_PER_UPDATE", few["calls to learn"], CALLS_PER_UPDATE)
+    _check("OPERATORS_PER_UPDATE", few["operators to learn"], OPERATORS_PER_UPDATE)
+
+
+def _check(name: str, counted: float, bound: float) -> None:
+    print(f"{name}: counted {counted:g}, bound {bound:g}")
+    assert counted <= bound
+
+
+def test_a_replacement_costs_the_same_among_many_networks() -> None:
+    among_few, among_many = (_replacement_calls(networks) for networks in (10, 200))
+    assert among_many == among_few
+    _check("CALLS_PER_REPLACEMENT", among_many, CALLS_PER_REPLACEMENT)
+
+
+def _replacement_calls(networks: int) -> int:
+    """Calls of one replacement and of the next forward pass, among copies of ten genomes."""
+    rng = np.random.default_rng(0)
+    founders = [initial_genome(12, 15, rng=rng, genome_id=number) for number in range(10)]
+    ledger = InnovationLedger.for_genomes(founders)
+    config = MutationConfig(add_node_prob=1.0)
+    grown = [mutate(mutate(one, config, ledger, rng), config, ledger, rng) for one in founders]
+    network = PopulationNetwork(grown * (networks // 10))
+    observation = torch.zeros(networks, 12)
+
+    def replaced() -> None:
+        network.replace(3, grown[7])
+        with torch.no_grad():
+            network(observation)
+
+    replaced()
+    return calls(replaced)
+
+
+def test_nothing_is_kept_from_batch_to_batch() -> None:
+    team = Team(ticks=5)
+    for _ in range(10):
+        team.live()
+    before = _alive()
+    for _ in range(40):
+        team.live()
+    for kind, count in _alive().items():
+        assert count - before[kind] < 40, f"{kind}: more than one for each batch"
+
+
+def _alive() -> dict[str, int]:
+    gc.collect()
+    objects = gc.get_objects()
+    return {
+        "objects": len(objects),
+        "tensors": sum(issubclass(type(one), torch.Tensor) for one in objects),
+    }
