@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Iterator
 
 from benchmarks import (
     arenas,
@@ -18,6 +19,7 @@ from benchmarks import (
 )
 from benchmarks.machine import environment
 from benchmarks.measure import in_fresh_process
+from benchmarks.result import Line
 from benchmarks.store import PAGE, Record, Records, load, save
 from benchmarks.table import draw_page, draw_table
 
@@ -38,15 +40,15 @@ LONG = "million ticks"
 def main() -> int:
     """Run the command line; returns 0 whether goals are reached or not: a page is no test."""
     arguments = _arguments()
+    records: Records = {}
+    for row, lines in _found(arguments):
+        records[row] = Record(lines=lines, environment=environment())
+        if arguments.save:  # now: what was measured is kept if a later row fails
+            _write(load() | records)
     if arguments.draw:
         records = load()
-    elif arguments.ticks:
-        records = {LONG: Record(lines=memory.run_long(arguments.ticks), environment=environment())}
-    else:
-        records = _measured(arguments.rows or list(ROWS), arguments.quick)
-    print(draw_table(records), end="")
-    if arguments.draw or arguments.save:
         _write(records)
+    print(draw_table(records), end="")
     return 0
 
 
@@ -67,21 +69,20 @@ def _arguments() -> argparse.Namespace:
     return arguments
 
 
-def _measured(rows: list[str], quick: bool) -> Records:
+def _found(arguments: argparse.Namespace) -> Iterator[tuple[str, list[Line]]]:
     """Run each row in a process of its own: it finds the same alone as among others."""
-    records: Records = {}
-    for row in rows:
-        begin = time.perf_counter()
-        lines = in_fresh_process(ROWS[row].run, quick)
-        records[row] = Record(lines=lines, environment=environment())
-        print(f"{row}: {time.perf_counter() - begin:.0f} s", file=sys.stderr)
-    return records
+    if arguments.ticks:
+        yield LONG, memory.run_long(arguments.ticks)
+    elif not arguments.draw:
+        for row in arguments.rows or ROWS:
+            begin = time.perf_counter()
+            yield row, in_fresh_process(ROWS[row].run, arguments.quick)
+            print(f"{row}: {time.perf_counter() - begin:.0f} s", file=sys.stderr)
 
 
 def _write(records: Records) -> None:
-    """Put the records among those of other rows, in the order of the table."""
-    known = load() | records
-    known = {row: known[row] for row in (*ROWS, LONG) if row in known}
+    """Write figures and page, in the order of the table."""
+    known = {row: records[row] for row in (*ROWS, LONG) if row in records}
     save(known)
     rows = {row: (module, row) for row, module in ROWS.items()}
     rows[LONG] = (memory, "memory --ticks 1000000 --save")

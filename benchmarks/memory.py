@@ -1,8 +1,8 @@
 """What networks and learner keep in memory.
 
-Bytes of all tensors, and growth of the resident set (networks, plans, learner with its moments;
-genomes and one forward pass come before it), each in a fresh process. "linear in links" compares
-networks with twice the links: 2 means that twice the links take twice the bytes.
+Growth of the resident set by networks, plans and a learner with its moments, after one forward
+pass, and the bytes of their tensors alone, each in a fresh process; genomes do not count. The last
+line compares networks of about twice the links: linear growth has the ratio of the links.
 
 `python -m benchmarks memory --ticks 1000000 --save` measures another thing and takes long:
 the resident set of `neatq train` (1 arena, arm `neatq`), sampled twenty times, as a slope over the
@@ -17,12 +17,13 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from benchmarks.genomes import LINKS, enabled_links, evolved
+from benchmarks.genomes import INPUTS, LINKS, OUTPUTS, enabled_links, evolved
 from benchmarks.measure import in_fresh_process, resident_bytes
 from benchmarks.result import Goal, Line, compare
 from neatq_torch.genome import Genome
@@ -36,27 +37,42 @@ from neatq_torch.learning import (
 from neatq_torch.network import PopulationNetwork
 
 ROBOTS = 20 * 50
-CANDIDATES, ACTIONS = 5, 2  # of the arm neatq, which has 12 inputs
-OUTPUTS = CANDIDATES * (ACTIONS + 1)
-ARM_LINKS = (200, 230)  # 195 at the start
 SAMPLES = 20
+
+Footprint = tuple[int, int, int]
+"""Bytes of tensors, growth of the resident set, links."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """Networks of one size."""
+
+    inputs: int = INPUTS
+    outputs: int = OUTPUTS
+    candidates: int = 1
+    links: tuple[int, int] = LINKS
+
+
+SMALL = Kind()
+LARGE = Kind(links=(2 * LINKS[0], 2 * LINKS[1]))
+ARM = Kind(inputs=12, outputs=15, candidates=5, links=(200, 230))
+"""The arm neatq; its genomes have 195 links at the start."""
 
 
 def run(quick: bool) -> list[Line]:
     """Measure both populations, and one with twice the links."""
-    many, rounds = (500, 1) if quick else (5000, 3)
-    twice = (2 * LINKS[0], 2 * LINKS[1])
-    arm = [in_fresh_process(footprint, ROBOTS, 12, OUTPUTS, ARM_LINKS) for _ in range(rounds)]
-    small = [in_fresh_process(footprint, many, 20, 3, LINKS) for _ in range(rounds)]
-    large = [in_fresh_process(footprint, many, 20, 3, twice) for _ in range(rounds)]
+    many, some, rounds = (1000, 500, 1) if quick else (5000, 1000, 3)
+
+    def found(kind: Kind, networks: int) -> list[Footprint]:
+        return [in_fresh_process(footprint, kind, networks) for _ in range(rounds)]
+
+    arm, small, large = found(ARM, ROBOTS), found(SMALL, some), found(LARGE, some)
+    crowd = [in_fresh_process(footprint, SMALL, many)]
     return [
         *_lines("20 x 50 networks of the arm neatq, moments of Adam", arm, ROBOTS),
-        *_lines(f"{many:,} networks of {LINKS[0]} to {LINKS[1]} links", small, many),
-        _linearity(many, small, large),
+        *_lines(f"{many:,} networks of {LINKS[0]} to {LINKS[1]} links", crowd, many),
+        _linearity(some, small, large),
     ]
-
-
-Footprint = tuple[int, int, int]
 
 
 def _lines(what: str, found: list[Footprint], networks: int) -> list[Line]:
@@ -86,26 +102,24 @@ def _linearity(networks: int, small: list[Footprint], large: list[Footprint]) ->
     )
 
 
-def footprint(networks: int, inputs: int, outputs: int, links: tuple[int, int]) -> Footprint:
-    """Bytes of tensors, growth of the resident set, and links; to be called in a fresh process."""
-    genomes = evolved(networks, seed=5, inputs=inputs, outputs=outputs, links=links)
-    warm = _used(genomes[:2])  # what is loaded or compiled once does not count
+def footprint(kind: Kind, networks: int) -> Footprint:
+    """What so many networks take; to be called in a fresh process."""
+    genomes = evolved(networks, seed=5, inputs=kind.inputs, outputs=kind.outputs, links=kind.links)
+    warm = _used(genomes[:2], kind.candidates)  # what is loaded or compiled once does not count
     gc.collect()
     before = resident_bytes(os.getpid()), _tensor_bytes()
-    kept = _used(genomes)
+    kept = _used(genomes, kind.candidates)
     gc.collect()
     after = resident_bytes(os.getpid()), _tensor_bytes()
     del kept, warm
     return after[1] - before[1], after[0] - before[0], enabled_links(genomes)
 
 
-def _used(genomes: list[Genome]) -> TDLearner:
+def _used(genomes: list[Genome], candidates: int) -> TDLearner:
     """Networks that have been evaluated once, and their learner."""
     network = PopulationNetwork(genomes)
-    values = network.outputs // (ACTIONS + 1)
-    heads = CandidateHeads(values, [0.0] * ACTIONS, [1.0] * ACTIONS)
-    if heads.outputs != network.outputs:  # no values among the outputs: one candidate
-        heads = CandidateHeads(1, [0.0] * network.outputs, [1.0] * network.outputs)
+    actions = network.outputs // candidates - (candidates > 1)
+    heads = CandidateHeads(candidates, [0.0] * actions, [1.0] * actions)
     loss = CandidateTDLoss(CandidateValue(network, heads))
     learner = TDLearner(network, loss, LearnerConfig(optimizer="adam"))
     with torch.no_grad():
