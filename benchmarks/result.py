@@ -13,20 +13,26 @@ class Cost:
     """One figure over all rounds; less is better.
 
     Attributes:
-        median: Of the rounds.
-        low: First quartile.
-        high: Third quartile.
+        rounds: The figure of each round, in six digits, which are more than any clock has.
     """
 
-    median: float
-    low: float
-    high: float
+    rounds: tuple[float, ...]
 
     @staticmethod
     def of(samples: np.ndarray) -> Cost:
-        """Median and quartiles of samples [rounds]."""
-        low, median, high = np.quantile(samples, [0.25, 0.5, 0.75]).tolist()
-        return Cost(median=median, low=low, high=high)
+        """The cost of samples [rounds]."""
+        return Cost(rounds=tuple(float(f"{sample:.6g}") for sample in samples))
+
+    @property
+    def median(self) -> float:
+        """Of the rounds."""
+        return float(np.median(self.rounds))
+
+    @property
+    def quartiles(self) -> tuple[float, float]:
+        """The first and the third."""
+        low, high = np.quantile(self.rounds, [0.25, 0.75]).tolist()
+        return low, high
 
 
 @dataclass(frozen=True, kw_only=True)

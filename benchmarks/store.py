@@ -34,17 +34,12 @@ def load() -> Records:
 
 
 def save(records: Records) -> None:
-    """Write all records."""
-    plain = {row: asdict(record) for row, record in records.items()}
-    FIGURES.write_text(json.dumps(_rounded(plain), indent=1) + "\n", encoding="utf-8")
+    """Write all records, each line of the table on a line of its own."""
+    text = ",\n".join(f"{json.dumps(row)}: {_record(record)}" for row, record in records.items())
+    FIGURES.write_text(f"{{\n{text}\n}}\n", encoding="utf-8")
 
 
-def _rounded(value: object) -> object:
-    """Six digits are more than any clock has."""
-    if isinstance(value, float):
-        return float(f"{value:.6g}")
-    if isinstance(value, dict):
-        return {key: _rounded(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(item) for item in value]
-    return value
+def _record(record: Record) -> str:
+    lines = ",\n  ".join(json.dumps(asdict(line)) for line in record.lines)
+    environment = json.dumps(record.environment)
+    return f'{{\n "environment": {environment},\n "lines": [\n  {lines}\n ]\n}}'

@@ -19,9 +19,10 @@ What the parts of neatq_torch cost, each beside something known. This page is ma
 
 Costs are medians over rounds, with quartiles in brackets; less is better. In each round ours and
 what stands beside it are measured one after the other, on the same machine, and the ratio is the
-median of the rounds' ratios: it holds on other machines, and the costs do not. One thread, CPU
+median of the rounds' ratios: it says more about other machines than the costs do. One thread, CPU
 time, unless the row says something else. What was to be reached was set before the measuring; a
-row that does not reach it says so.
+line that does not reach it says so. `docs/benchmarks.json` holds the figures of every round;
+`python -m benchmarks --draw` makes this page from them.
 """
 
 
@@ -93,9 +94,11 @@ def _joined(cells: Sequence[str], widths: Sequence[int]) -> str:
 
 
 def _cost(cost: Cost, unit: str) -> str:
-    if cost.low == cost.high:
-        return f"{_figure(cost.median)} {unit}"
-    return f"{_figure(cost.median)} {unit} [{_figure(cost.low)}, {_figure(cost.high)}]"
+    median = f"{_figure(cost.median)} {unit}"
+    if len(cost.rounds) == 1:
+        return median
+    low, high = map(_figure, cost.quartiles)
+    return f"{median} [{low}, {high}]"
 
 
 def _times(ratio: float) -> str:
