@@ -135,7 +135,8 @@ def _sort(place: np.ndarray, grid: Grid) -> Sorted:
         row = min(max(int(place[i, 1] / grid.cell_height), 0), grid.rows - 1)
         cell[i] = column * grid.rows + row
         start[cell[i]] += 1
-    start[:] = np.cumsum(start)  # where each cell ends; filling from behind leaves where it starts
+    for i in range(1, len(start)):
+        start[i] += start[i - 1]  # where each cell ends: filled from behind, where it starts
     x, y = np.empty(robots), np.empty(robots)
     for i in range(robots - 1, -1, -1):
         start[cell[i]] -= 1

@@ -55,7 +55,6 @@ class Room:
         walls = (*border_walls(scenario), *scenario.walls)
         self.bodies = [pymunk.Body(mass=1.0, moment=math.inf) for _ in range(robots)]
         circles = (_circle(body, scenario) for body in self.bodies)
-        # Bodies refer to their shapes; what a Space holds stays alive with this tuple.
         self._parts = ground, *self.bodies, *(wall_box(ground, w) for w in walls), *circles
         self._force, self._motion = batch.Buffer(), batch.Buffer()
         self._force.set_float_buf(force)

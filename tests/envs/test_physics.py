@@ -140,3 +140,17 @@ def test_many_robots_that_pass_through_share_several_spaces() -> None:
         arena.step(np.concatenate([np.ones((1, 121, 1)), np.zeros((1, 121, 1))], -1))
     way = np.stack([np.cos(arena.heading_rad), np.sin(arena.heading_rad)], -1)
     assert arena.position == pytest.approx(start + 10 * way)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [((3, 400), (1, 400)), ((400, 797), (400, 799)), ((400, 390), (400, 410))]
+)
+def test_a_body_that_was_pressed_through_a_wall_is_put_back(
+    before: tuple[float, float], after: tuple[float, float]
+) -> None:
+    physics = Physics(TASKS["wall"].replaced(robots=2, collide=True), 1)
+    place = np.array([[after, (600.0, 600.0)]], dtype=float)
+    physics.rebuild(place, np.full((1, 2, 2), 0.5))
+    physics._hold_back(np.array([[before, (590.0, 600.0)]], dtype=float))
+    assert physics.position.tolist() == [[list(before), [600.5, 600.5]]]
+    assert physics.rooms[0][0].bodies[0].position == before

@@ -98,6 +98,8 @@ def test_the_middle_of_friends_includes_the_robot_itself() -> None:
     assert values[0, 10:] == pytest.approx([1 - 5 / 15, 0.5])
     assert values[1, 10:] == pytest.approx([1 - 5 / 15, 0.25])  # at -90 degrees: (-90 + 180) / 360
     assert values[2, 10:] == pytest.approx([1.0, 0.5])  # alone
+    close = sense([(400, 400, 0.0), (400, 400.002, 0.0)])
+    assert close[0, 10:] == pytest.approx([1 - 0.001 / 15, 0.75])
 
 
 def test_friends_at_one_place_have_no_direction() -> None:
