@@ -152,11 +152,10 @@ itself included |
     def step_and_maybe_reset(
         self, tensordict: TensorDictBase
     ) -> tuple[TensorDictBase, TensorDictBase]:
-        """Do what `EnvBase.step_and_maybe_reset` does, in half the time.
+        """Do what `EnvBase.step_and_maybe_reset` does, without looking up which keys go where.
 
-        TorchRL looks up at each step which keys go where; here they are known. The next root has
-        all entries of this one but the reward, with what this environment observes brought up
-        to date.
+        The next root has all entries of this one but the reward, with what this environment
+        observes brought up to date. Steps that need more than that are left to TorchRL.
         """
         if not self._is_plain(tensordict):
             return super().step_and_maybe_reset(tensordict)
