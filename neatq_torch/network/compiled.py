@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch._C._functorch import is_legacy_batchedtensor
 from torch.autograd import forward_ad
 from torch.nn import Parameter
 
@@ -109,7 +110,11 @@ class _Evaluate(torch.autograd.Function):
             )
         gradients = output_gradient, state if kept_gradient is None else kept_gradient
         wanted = ctx.needs_input_grad[1:]
-        if torch.is_grad_enabled() or not serves(*gradients):
+        if (
+            torch.is_grad_enabled()
+            or not serves(*gradients)
+            or is_legacy_batchedtensor(gradients[0])
+        ):
             return None, *_by_torch(plan, ctx.saved_tensors[:3], gradients, wanted)
         further = wanted[1] or wanted[2]
         found = tuple(tensor.new_zeros(tensor.shape) for tensor in (weight, observation, state))

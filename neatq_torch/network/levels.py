@@ -149,7 +149,8 @@ class Levels:
         sums = _product(sensors, dense.view(networks, layout.inputs + 1, layout.outputs))
         hidden = observation.new_zeros(networks, batch, layout.hidden)
         values = torch.cat([sensors, sums, memory, hidden], 2).transpose(1, 2)
-        flat, places = values.reshape(-1, batch), weight.reshape(-1)
+        flat = values.reshape(networks * layout.rows, batch)
+        places = weight.reshape(-1)
         for level in self.levels:
             if len(level.source):
                 passed = flat.index_select(0, level.source)
@@ -157,13 +158,13 @@ class Levels:
                 flat.index_add_(0, level.target, passed)
             if len(level.node):
                 active = level.activate(flat.index_select(0, level.node))
-                flat.index_copy_(0, level.node, active)
+                flat.index_put_((level.node,), active)
         values = flat.view(networks, layout.rows, batch).transpose(1, 2)
         output = values[..., layout.inputs + 1 : layout.first_state].reshape(*lead, layout.outputs)
         if not layout.state:
             return output, state
         kept = flat.new_zeros(networks * layout.state, batch)
-        kept = kept.index_copy(0, self.kept_place, flat.index_select(0, self.kept))
+        kept = kept.index_put((self.kept_place,), flat.index_select(0, self.kept))
         kept = kept.view(networks, layout.state, batch).transpose(1, 2)
         return output, kept.reshape(*lead, layout.state)
 
