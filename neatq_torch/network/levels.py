@@ -90,8 +90,9 @@ class Levels:
         """Sort a program's links and nodes into levels, for all networks at once."""
 
         def tensor(values: np.ndarray) -> Tensor:
-            # Not torch.tensor: within torch.export that would be a part of the exported graph.
-            return torch.from_numpy(values).to(device)
+            # While torch.export traces, `to` would make a fake tensor even of one that is there.
+            made = torch.from_numpy(values)
+            return made if device.type == "cpu" else made.to(device)
 
         network, place = _used(program.size[:, 0], layout.instructions)
         first, rows, links, code, level = program.instruction[network, place].astype(np.int64).T

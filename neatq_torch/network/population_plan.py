@@ -55,9 +55,12 @@ class Plan:
 
     def levels(self, device: torch.device) -> Levels:
         """The evaluation order for torch operations; made when first asked for after a change."""
-        if self._levels is None or self._levels.live.device != device:
-            self._levels = Levels.build(self.program, self.layout, device)
-        return self._levels
+        if self._levels is not None and self._levels.live.device == device:
+            return self._levels
+        levels = Levels.build(self.program, self.layout, device)
+        if type(levels.live) is torch.Tensor:  # not the fake tensor of somebody who traces
+            self._levels = levels
+        return levels
 
     def _make_room(self, layout: Layout) -> None:
         """Give every array as many columns as `layout` asks for."""

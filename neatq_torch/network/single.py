@@ -29,6 +29,8 @@ class GenomeNetwork(nn.Module):
     def __init__(self, genome: Genome, *, evaluation: Evaluation = "settle") -> None:
         super().__init__()
         self.network = PopulationNetwork([genome], evaluation=evaluation)
+        # Whoever traces (torch.compile, a strict torch.export) must find it made.
+        self.network.plan.levels(self.network.weight.device)
 
     @property
     def inputs(self) -> int:

@@ -215,7 +215,8 @@ def test_transforms_see_torch_operations(monkeypatch: pytest.MonkeyPatch) -> Non
         assert isinstance(result, Tensor)
         return result
 
-    close = (call(parameters, x + 1e-2) - call(parameters, x - 1e-2)) / 2e-2
+    observed = x.clone().requires_grad_()
+    (by_input,) = torch.autograd.grad(network(observed).sum(), observed)
 
     def refuse(*_: object) -> None:
         raise AssertionError("the compiled path was taken")
@@ -227,7 +228,7 @@ def test_transforms_see_torch_operations(monkeypatch: pytest.MonkeyPatch) -> Non
     tangent = torch.ones_like(x)
     primal, change = jvp(lambda x: call(parameters, x), (x,), (tangent,))[:2]
     torch.testing.assert_close(primal, wanted)
-    torch.testing.assert_close(change, close, rtol=0.05, atol=0.05)
+    torch.testing.assert_close(change.sum(), by_input.sum())
     with FakeTensorMode(allow_non_fake_inputs=True) as mode:
         assert network(mode.from_tensor(x)).shape == (6, 3)
 

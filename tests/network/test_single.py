@@ -17,7 +17,7 @@ from neatq_torch.genome import (
     initial_genome,
     mutate,
 )
-from neatq_torch.network import GenomeNetwork
+from neatq_torch.network import GenomeNetwork, PopulationNetwork
 
 
 @pytest.fixture
@@ -75,9 +75,28 @@ def test_it_follows_to(genome: Genome) -> None:
     assert meta(torch.rand(2, 3, device="meta")).device.type == "meta"
 
 
-def test_it_exports(genome: Genome) -> None:
+@pytest.mark.parametrize("strict", [False, True])
+def test_it_exports(genome: Genome, strict: bool) -> None:
     network = GenomeNetwork(genome)
     rows = torch.export.Dim("rows", min=2)
-    program = torch.export.export(network, (torch.rand(4, 3),), dynamic_shapes=({0: rows},))
+    program = torch.export.export(
+        network, (torch.rand(4, 3),), dynamic_shapes=({0: rows},), strict=strict
+    )
     x = torch.rand(9, 3)
     torch.testing.assert_close(program.module()(x), network(x))
+    assert network.double()(x.double()).dtype == torch.float64
+
+
+def test_a_population_exports_after_a_replacement(genome: Genome) -> None:
+    network = PopulationNetwork([genome, genome])
+    network.replace(1, genome.with_weights(np.ones(genome.link_weight.size)))
+    x = torch.rand(2, 4, 3)
+    program = torch.export.export(network, (x,))
+    torch.testing.assert_close(program.module()(x), network(x))
+    assert network.double()(x.double()).dtype == torch.float64
+
+
+def test_it_compiles_as_one_graph(genome: Genome) -> None:
+    network, x = GenomeNetwork(genome), torch.rand(4, 3)
+    compiled = torch.compile(network, backend="eager", fullgraph=True)
+    torch.testing.assert_close(compiled(x), network(x))
