@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.measure import in_rounds
 from benchmarks.result import Line, compare, times_at_most
-from neatq_envs.arena import Arena, wrap_rad
+from neatq_envs.arena import Arena
 from neatq_envs.scenario import TASKS
 
 FEW, MANY = 50, 1000
@@ -84,7 +84,8 @@ def _anywhere(arena: Arena, rng: np.random.Generator) -> np.ndarray:
 
 def _to_one_place(arena: Arena, _: np.random.Generator) -> np.ndarray:
     way = PLACE - arena.position
-    turn = wrap_rad(np.arctan2(way[..., 1], way[..., 0]) - arena.heading_rad)
+    turn = np.arctan2(way[..., 1], way[..., 0]) - arena.heading_rad
+    turn = (turn + np.pi) % (2 * np.pi) - np.pi
     most = arena.scenario.max_turn_rad
     speed = np.minimum(arena.scenario.max_speed, np.hypot(way[..., 0], way[..., 1]))
     speed = np.where(np.abs(turn) > np.pi / 2, 0.0, speed)

@@ -19,7 +19,7 @@ from benchmarks.result import Goal, Line, compare
 from benchmarks.training import trainer_tick_seconds
 from neatq_trainers.build import build
 from neatq_trainers.config import RunConfig, preset
-from neatq_trainers.train import make_collector
+from neatq_trainers.loop import make_collector
 
 SHARE = 0.25
 PAPER = "The paper reported 40 % on top."

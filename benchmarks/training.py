@@ -18,6 +18,7 @@ from neatq_envs.arena import Arena
 from neatq_envs.torchrl import ArenaEnv
 from neatq_trainers.config import RunConfig
 from neatq_trainers.train import start
+from neatq_trainers.workers import fitting_workers
 
 
 def trainer_tick_seconds(config: RunConfig, ticks: tuple[int, int]) -> float:
@@ -33,7 +34,7 @@ def trainer_tick_seconds(config: RunConfig, ticks: tuple[int, int]) -> float:
 def _run_seconds(config: RunConfig) -> float:
     with tempfile.TemporaryDirectory() as folder:
         begin = time.perf_counter()
-        start(config, Path(folder) / "run")
+        start(config, Path(folder) / "run", workers=fitting_workers(config.arenas))
         return time.perf_counter() - begin
 
 
