@@ -72,12 +72,12 @@ def _batch(
 ) -> kernels.Batch:
     layout, networks = plan.layout, len(plan.program.size)
     size = output.numel() // (networks * layout.outputs)
-    memory = networks, size, layout.state
+    memory = _array(state).reshape(networks, size, layout.state)
     return kernels.Batch(
         _array(observation).reshape(networks, size, layout.inputs),
-        _array(state).reshape(memory),
+        memory,
         _array(output).reshape(networks, size, layout.outputs),
-        _array(kept).reshape(memory),
+        memory if kept is state else _array(kept).reshape(memory.shape),
     )
 
 
