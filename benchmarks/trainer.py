@@ -1,8 +1,8 @@
 """`neatq train` with 1 arena of 50 robots: arm `neatq`, task `wall`, learning on, wall time.
 
 From tick 1,000, when evolution begins, to the end of a run as long as the published ones: two runs
-of those lengths, subtracted, so start-up does not count. TorchRL's collector with a random policy and the bare arena, in the same
-worlds, show where the time goes: their cost is part of ours.
+of those lengths, subtracted, so start-up does not count. TorchRL's collector with a random policy
+and the bare arena, in the same worlds, show where the time goes: their cost is part of ours.
 """
 
 from __future__ import annotations

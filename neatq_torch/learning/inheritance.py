@@ -20,7 +20,7 @@ def write_back(network: PopulationNetwork, populations: Sequence[RtNEAT]) -> Non
         network: Networks of all robots, arena after arena.
         populations: The population of each arena.
     """
-    genomes = iter(network.genomes())
+    weights = network.link_weights()
     for population in populations:
         for slot in range(len(population.genomes)):
-            population.write_back(slot, next(genomes).link_weight)
+            population.write_back(slot, next(weights))

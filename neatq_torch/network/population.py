@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
@@ -137,18 +137,28 @@ class PopulationNetwork(nn.Module):
         Raises:
             GenomeError: If a weight is not finite.
         """
-        return self._with_weights(index, self.weight.detach()[index].cpu().numpy())
+        row = self.weight.detach()[index].cpu().numpy()
+        return self._genomes[index].with_weights(self._link_weights(index, row))
 
     def genomes(self) -> list[Genome]:
         """All genomes with the weights that their networks have now, in flat order."""
-        rows = self.weight.detach().cpu().numpy()
-        return [self._with_weights(index, row) for index, row in enumerate(rows)]
+        pairs = zip(self._genomes, self.link_weights(), strict=True)
+        return [genome.with_weights(weights) for genome, weights in pairs]
 
-    def _with_weights(self, index: int, row: np.ndarray) -> Genome:
-        genome, plan = self._genomes[index], self._plans[index]
-        weights = genome.link_weight.copy()
+    def link_weights(self) -> Iterator[np.ndarray]:
+        """The weights of the links of every genome, float32 [links], in flat order.
+
+        They are those that the networks have now, bit for bit; those of disabled links are the
+        genome's own.
+        """
+        for index, row in enumerate(self.weight.detach().cpu().numpy()):
+            yield self._link_weights(index, row)
+
+    def _link_weights(self, index: int, row: np.ndarray) -> np.ndarray:
+        plan = self._plans[index]
+        weights = self._genomes[index].link_weight.copy()
         weights[plan.enabled] = row[plan.column]
-        return genome.with_weights(weights)
+        return weights
 
     @torch.no_grad()
     def replace(self, index: int, genome: Genome) -> None:
