@@ -24,7 +24,7 @@ DONE = "done"
 TERMINATED = "terminated"
 TRUNCATED = "truncated"
 
-_SEEN = {OBSERVATION, REWARD_VECTOR, DISTANCE, POSE, STEP_COUNT, DONE, TERMINATED, TRUNCATED}
+_SEEN = (OBSERVATION, REWARD_VECTOR, DISTANCE, POSE, STEP_COUNT, DONE, TERMINATED, TRUNCATED)
 _OUTDATED = {*_SEEN, REWARD, "next"}
 
 
@@ -143,11 +143,14 @@ itself included |
         return self._tensordict(self._observe())
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return self._tensordict(self._advance(tensordict))
+
+    def _advance(self, tensordict: TensorDictBase) -> dict[str, torch.Tensor]:
         self._restored = False
         self.arena.step(tensordict.get(ACTION).detach().numpy())
         values = self._observe()
         values[REWARD] = _single(self.arena.reward[..., None])
-        return self._tensordict(values)
+        return values
 
     def step_and_maybe_reset(
         self, tensordict: TensorDictBase
@@ -159,14 +162,15 @@ itself included |
         """
         if not self._is_plain(tensordict):
             return super().step_and_maybe_reset(tensordict)
-        following = self._step(tensordict)
+        values = self._advance(tensordict)
+        root = {key: _carried(value) for key, value in tensordict.items() if key not in _OUTDATED}
+        root.update((key, values[key]) for key in _SEEN)
         preset = tensordict.get("next", None)
         if preset is not None:
-            following.update(preset.exclude(*following.keys()))
-        tensordict.set("next", following)
-        root = {key: _carried(value) for key, value in tensordict.items() if key not in _OUTDATED}
-        root.update((key, value) for key, value in following.items() if key in _SEEN)
-        return tensordict, self.maybe_reset(self._tensordict(root))
+            values = {**dict(preset.items()), **values}
+        tensordict.set("next", self._tensordict(values))
+        upcoming = self._tensordict(root)
+        return tensordict, self.maybe_reset(upcoming) if values[DONE].any() else upcoming
 
     def _is_plain(self, tensordict: TensorDictBase) -> bool:
         """Return whether a step needs nothing but the ordinary."""

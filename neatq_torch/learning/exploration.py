@@ -115,9 +115,10 @@ class EpsilonGreedy(nn.Module):
         place = self._next_tick(values.shape[-1])
         running = self.until_tick >= self.tick
         start = (self._chance[place] < self.epsilon) > running
-        self.held = torch.where(start, self._choice[place], self.held)
-        self.until_tick = torch.where(start, self._end[place], self.until_tick)
-        return torch.where(running | start, self.held, greedy)
+        held, until_tick = self.held, self.until_tick
+        torch.where(start, self._choice[place], held, out=held)
+        torch.where(start, self._end[place], until_tick, out=until_tick)
+        return torch.where(running | start, held, greedy)
 
     def reset(self, newborn: Tensor) -> None:
         """End the runs of newborns (mask [*shape])."""
@@ -126,7 +127,7 @@ class EpsilonGreedy(nn.Module):
     def state(self) -> dict[str, Any]:
         """What a checkpoint must keep: ticks so far, running explorations, epsilon."""
         names = ("epsilon", "held", "until_tick")
-        return {"tick": self.tick, **{name: getattr(self, name) for name in names}}
+        return {"tick": self.tick, **{name: getattr(self, name).clone() for name in names}}
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Go on from `state`."""

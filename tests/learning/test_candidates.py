@@ -68,7 +68,7 @@ def test_held_exploration_lasts_n_ticks_with_probability_one_over_n_times_n_plus
     lengths, before = [], torch.zeros(200, dtype=torch.long)
     for _ in range(1500):
         explore(values)
-        until = explore.until_tick[0]
+        until = explore.until_tick[0].clone()
         started = until != before
         lengths += (until[started] - explore.tick + 1).tolist()
         before = until
