@@ -70,8 +70,9 @@ def _tanh(x: np.float32) -> np.float32:
     x = _BOUND if x > _BOUND else x
     x = -_BOUND if x < -_BOUND else x
     y = x * x
-    p = ((((((_P13 * y + _P11) * y + _P9) * y + _P7) * y + _P5) * y + _P3) * y + _P1) * x
-    return p / (((_Q6 * y + _Q4) * y + _Q2) * y + _Q0)
+    y2 = y * y  # in pairs (Estrin): a chain of all terms would wait for each of them
+    p = (_P1 + _P3 * y) + y2 * ((_P5 + _P7 * y) + y2 * ((_P9 + _P11 * y) + y2 * _P13))
+    return x * p / ((_Q0 + _Q2 * y) + y2 * (_Q4 + _Q6 * y))
 
 
 @njit(error_model="numpy")

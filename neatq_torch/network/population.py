@@ -107,6 +107,8 @@ class PopulationNetwork(nn.Module):
         Returns:
             Outputs [*shape, *batch, outputs].
         """
+        if not self.state_size:
+            return self.step(observation, observation[..., :0])[0]
         batch = observation.shape[len(self.shape) : -1]
         return self.step(observation, self.initial_state(batch))[0]
 
