@@ -17,7 +17,7 @@ def run(quick: bool) -> list[Line]:
     return whole_run(
         "a tick of 20 arenas x 50 robots",
         replace(preset("wall", "neatq"), arenas=20),
-        ticks=(1000, 1200) if quick else (1000, TASK_TICKS["wall"]),
+        ticks=(1000, 4000) if quick else (1000, TASK_TICKS["wall"]),
         rounds=1 if quick else 2,
         goal=cost_at_most(2000, "at least 500,000 robot-steps/s"),
     )

@@ -6,6 +6,11 @@ neat-python makes a whole generation: `reproduce` and `speciate`. Both divided b
 CPU time. Mutation rates are the same where both have them (`benchmarks/neat_python.cfg`). rtNEAT
 steers towards 4 species; neat-python has a fixed threshold, here so wide that it finds one species,
 which is the cheapest for it: with 17 it takes three times as long.
+
+Why ours is not cheaper (cProfile over 1,000 births): a quarter goes into sorting all genomes into
+species again after every fifth birth, as OpenNERO does, a third into the offspring themselves. The
+rest judges the population, finds the worst and chooses parents: once for each birth here, once for
+a thousand of them in a generation.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ def _acting_and_learning(
 
 
 def _whole(learning: RunConfig, without: RunConfig, quick: bool) -> Line:
-    ticks, rounds = ((1000, 1800), 1) if quick else ((1000, 4000), 3)
+    ticks, rounds = ((1000, 4000), 1) if quick else ((1000, 21_000), 3)
     samples = in_rounds(
         {
             "with": lambda: trainer_tick_seconds(learning, ticks),

@@ -17,7 +17,7 @@ def run(quick: bool) -> list[Line]:
     return whole_run(
         "a tick of 1 arena x 50 robots",
         preset("wall", "neatq"),
-        ticks=(1000, 1800) if quick else (1000, TASK_TICKS["wall"]),
+        ticks=(1000, 4000) if quick else (1000, TASK_TICKS["wall"]),
         rounds=1 if quick else 3,
         goal=cost_at_most(500, "at least 2,000 ticks/s"),
     )
