@@ -53,24 +53,29 @@ class CandidateHeads(nn.Module):
 
     def forward(self, output: Tensor) -> tuple[Tensor, Tensor]:
         """Split outputs [..., outputs] into candidates [..., K, A] and values [..., K]."""
-        count = self.candidates * self.actions
-        unit = output[..., :count].clamp(0, 1).unflatten(-1, (self.candidates, self.actions))
-        values = output[..., count:] if self.candidates > 1 else torch.zeros_like(output[..., :1])
-        return self.low + unit * self.span, values
+        unit = output[..., : self.candidates * self.actions].clamp(0, 1)
+        unit = unit.unflatten(-1, (self.candidates, self.actions))
+        return self.low + unit * self.span, self.values(output)
+
+    def values(self, output: Tensor) -> Tensor:
+        """The values [..., K] alone."""
+        if self.candidates == 1:
+            return torch.zeros_like(output[..., :1])
+        return output[..., self.candidates * self.actions :]
 
 
 class CandidateValue(TensorDictModuleBase):
     """The Q-values of all candidates of every robot, as a `CandidateTDLoss` needs them.
 
     Reads `observation` [*shape, *batch, inputs], and `network_state` where the networks are
-    recurrent. Writes `candidates` [..., K, A], `action_value` [..., K] and
-    `chosen_action_value` [..., 1], the largest of them.
+    recurrent. Writes `action_value` [..., K] and `chosen_action_value` [..., 1], the largest of
+    them.
     """
 
     def __init__(self, network: PopulationNetwork, heads: CandidateHeads) -> None:
         super().__init__()
         self.in_keys = ["observation"]
-        self.out_keys = ["candidates", "action_value", "chosen_action_value"]
+        self.out_keys = ["action_value", "chosen_action_value"]
         check_heads(network, heads)
         self.network = network
         self.heads = heads
@@ -79,14 +84,13 @@ class CandidateValue(TensorDictModuleBase):
     def forward(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, tensordict: TensorDictBase
     ) -> TensorDictBase:
-        """Add the candidates and their values to `tensordict`."""
+        """Add the values of the candidates to `tensordict`."""
         observation = tensordict.get("observation")
         if self.network.state_size:
             output = self.network.step(observation, tensordict.get("network_state"))[0]
         else:
             output = self.network(observation)
-        candidates, values = self.heads(output)
-        tensordict.set("candidates", candidates)
+        values = self.heads.values(output)
         tensordict.set("action_value", values)
         return tensordict.set("chosen_action_value", values.amax(-1, keepdim=True))
 

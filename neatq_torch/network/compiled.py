@@ -67,7 +67,7 @@ def _forward(
     kept = state.new_empty(state.shape) if layout.state else state
     batch = _batch(plan, observation, state, output, kept)
     kernel = kernels.forward_one if batch.output.shape[1] == 1 else kernels.forward
-    kernel(plan.program, layout.rows, _array(weight), batch)
+    kernel(plan.program, layout.rows, _array(weight), *batch)
     return output, kept
 
 
