@@ -25,7 +25,7 @@ import torch
 
 from benchmarks.genomes import INPUTS, LINKS, OUTPUTS, enabled_links, evolved
 from benchmarks.measure import in_fresh_process, resident_bytes
-from benchmarks.result import Goal, Line, compare
+from benchmarks.result import Goal, Line, compare, cost_at_most
 from neatq_torch.genome import Genome
 from neatq_torch.learning import (
     CandidateHeads,
@@ -145,6 +145,7 @@ def run_long(ticks: int) -> list[Line]:
             f"{ticks:,} ticks of 1 x 50 robots: growth in 1,000 ticks of the second half",
             np.array([slope]),
             unit="bytes",
+            goal=cost_at_most(0.01 * half[0, 1] / (ticks / 2000), "flat: 1 % in that half"),
             note=f"MiB, every {ticks // SAMPLES:,} ticks: {course}.",
         )
     ]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDict, TensorDictBase, is_tensor_collection
+from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
@@ -216,7 +216,7 @@ itself included |
 
 def _carried(value: Any) -> Any:
     """Return a tensor itself, and of nested entries a copy that shares the tensors."""
-    return value.copy() if is_tensor_collection(value) else value
+    return value if isinstance(value, torch.Tensor) else value.copy()
 
 
 def _single(array: np.ndarray) -> torch.Tensor:
