@@ -7,6 +7,11 @@ value for each, 950 links at the start. Batches of 40 ticks, as in a run.
 for recorded batches, beside a tick of the collector that recorded them: acting, the arena, TorchRL.
 CPU time. "whole trainer" compares `neatq train` with learning and without it, all else equal, in
 wall time: it has the writing back of weights in it, and all the noise of two runs.
+
+Of about 100 us that learning adds to the whole trainer, the update is 67, and writing 950 weights
+back into each of 50 genomes and comparing them again 18; acting is 15 dearer, because these
+networks have other links. The update does not overlap with acting: a thread would share the
+interpreter, which is what acting waits for.
 """
 
 from __future__ import annotations
