@@ -6,7 +6,8 @@ line compares networks of about twice the links: linear growth has the ratio of 
 
 `python -m benchmarks memory --ticks 1000000 --save` measures another thing and takes long:
 the resident set of `neatq train` (1 arena, arm `neatq`), sampled twenty times, as a slope over the
-second half of the run. Networks grow while they evolve, so some growth is not a leak.
+second half of the run. Networks grow while they evolve, so some growth is not a leak. What counts
+as flat was written down after the first such run.
 """
 
 from __future__ import annotations
