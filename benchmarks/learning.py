@@ -8,10 +8,15 @@ for recorded batches, beside a tick of the collector that recorded them: acting,
 CPU time. "whole trainer" compares `neatq train` with learning and without it, all else equal, in
 wall time: it has the writing back of weights in it, and all the noise of two runs.
 
-Of about 100 us that learning adds to the whole trainer, the update is 67, and writing 950 weights
-back into each of 50 genomes and comparing them again 18; acting is 15 dearer, because these
-networks have other links. The update does not overlap with acting: a thread would share the
-interpreter, which is what acting waits for.
+Why the whole trainer falls short: half of what learning adds there is the update; writing 950
+weights back into each of 50 genomes before a birth is a sixth (2 % of a run in the profile below,
+where the update has 11 %); the rest is spread over acting, with other networks than without
+learning, and was not traced further. The update does not overlap with acting: a thread would share
+the interpreter, which is what acting waits for.
+
+    python -c "import cProfile; from benchmarks.training import trainer_tick_seconds;
+    from benchmarks.learning import described_with_950_links as config;
+    cProfile.run('trainer_tick_seconds(config(), (1000, 6000))', sort='cumulative')"
 """
 
 from __future__ import annotations
@@ -32,14 +37,15 @@ PAPER = "The paper reported 40 % on top."
 
 def run(quick: bool) -> list[Line]:
     """Measure the update alone and the whole trainer."""
-    learning = _described()
+    learning = described_with_950_links()
     without = replace(
         learning, learning=replace(learning.learning, rule="none", inheritance="darwinian")
     )
     return [_update(learning, rounds=3 if quick else 9), _whole(learning, without, quick)]
 
 
-def _described() -> RunConfig:
+def described_with_950_links() -> RunConfig:
+    """The arm `described` with the sensors and actions of the published code."""
     config = preset("wall", "described")
     return replace(config, scenario=config.scenario.replaced(sensors="opennero"))
 

@@ -6,7 +6,7 @@ from neatq_torch.genome.crossover import (
     multipoint,
     multipoint_average,
 )
-from neatq_torch.genome.distance import DistanceConfig, LinkTable, compatibility, distances
+from neatq_torch.genome.distance import DistanceConfig, LinkTable, compatibility
 from neatq_torch.genome.genome import (
     ACTIVATIONS,
     Genome,
@@ -39,7 +39,6 @@ __all__ = [
     "add_link",
     "add_node",
     "compatibility",
-    "distances",
     "first_is_fitter",
     "identical",
     "initial_genome",

@@ -65,13 +65,6 @@ def compatibility(a: Genome, b: Genome, config: DistanceConfig) -> float:
     )
 
 
-def distances(
-    genome: Genome, others: Sequence[Genome], config: DistanceConfig
-) -> NDArray[np.float64]:
-    """Return the distances [others] from one genome to many."""
-    return np.array([compatibility(genome, other, config) for other in others], dtype=np.float64)
-
-
 class LinkTable:
     """Innovations and weights of a population as rows that compiled code can walk along.
 

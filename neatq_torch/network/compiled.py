@@ -66,8 +66,7 @@ def _forward(
     output = torch.from_numpy(np.empty((*observation.shape[:-1], layout.outputs), np.float32))
     kept = state.new_empty(state.shape) if layout.state else state
     batch = _batch(plan, observation, state, output, kept)
-    kernel = kernels.forward_one if batch.output.shape[1] == 1 else kernels.forward
-    kernel(plan.program, layout.rows, _array(weight), *batch)
+    kernels.forward(plan.program, layout.rows, _array(weight), *batch)
     return output, kept
 
 

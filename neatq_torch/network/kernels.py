@@ -167,17 +167,10 @@ def _evaluate_one(
             _activate(values[row : row + rows], instruction[network, i, 3])
 
 
-@njit(cache=True, error_model="numpy")
-def forward_one(
-    program: Program,
-    rows: int,
-    weight: Floats,
-    observation: Floats,
-    state: Floats,
-    output: Floats,
-    kept: Floats,
-) -> None:
-    """Evaluate every network on one observation: `forward` for a batch of 1, same bits, faster."""
+@njit(error_model="numpy")
+def _forward_one(program: Program, rows: int, weight: Floats, batch: Batch) -> None:
+    """Evaluate every network on one observation: as `forward` does, same bits, faster."""
+    observation, state, output, kept = batch
     networks, inputs, outputs = len(weight), observation.shape[2], output.shape[2]
     sensors, first_state = inputs + 1, inputs + 1 + outputs
     values = np.empty(rows, np.float32)
@@ -299,6 +292,9 @@ def forward(
     """
     batch = Batch(observation, state, output, kept)
     networks, size, inputs = observation.shape
+    if size == 1:
+        _forward_one(program, rows, weight, batch)
+        return
     outputs = output.shape[2]
     sensors = inputs + 1
     values = np.empty((rows, min(size, _BLOCK)), np.float32)

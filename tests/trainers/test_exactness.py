@@ -25,6 +25,8 @@ from neatq_trainers.train import resume, start
 
 ARMS = ("rtneat", "committed", "described", "neatq", "qlearning")
 CASES = (*ARMS, "neatq with target parameters")
+LONG_TICKS = 4000
+"""A run that takes seconds, so that a signal meets it on its way."""
 State = dict[str, Any]
 Differences = Callable[[State, State], list[str]]
 StateOf = Callable[[Path], State]
@@ -202,40 +204,41 @@ def checkpoint_time(folder: Path) -> int:
 def test_a_run_that_is_killed_at_any_moment_goes_on_exactly(
     arm: str,
     seed: int,
-    whole: Whole,
     config_of: ConfigOf,
     state_of: StateOf,
     differences: Differences,
     tmp_path: Path,
 ) -> None:
-    with begin(tmp_path / "run", config_of(arm)) as process:
+    config = replace(config_of(arm), ticks=LONG_TICKS)
+    with begin(tmp_path / "run", config) as process:
         time.sleep(np.random.default_rng(seed).uniform(0, 0.3))
         process.kill()
     assert process.returncode == -signal.SIGKILL
-    assert 30 < resume_tick(tmp_path / "run") < 520
+    assert 30 < resume_tick(tmp_path / "run") < LONG_TICKS
     resume(tmp_path / "run")
-    ours, killed = state_of(whole(arm)), state_of(tmp_path / "run")
+    start(config, tmp_path / "whole")
+    ours, killed = state_of(tmp_path / "whole"), state_of(tmp_path / "run")
     assert differences(ours, killed) == ["/config/checkpoint_seconds"]
-    assert (whole(arm) / METRICS).read_text() == (tmp_path / "run" / METRICS).read_text()
+    assert (tmp_path / "whole" / METRICS).read_text() == (tmp_path / "run" / METRICS).read_text()
 
 
 def test_ctrl_c_in_a_terminal_ends_with_130_and_says_how_to_go_on(
-    whole: Whole,
     config_of: ConfigOf,
     state_of: StateOf,
     differences: Differences,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    folder = tmp_path / "my run"
-    with begin(folder, config_of("neatq")) as process:
+    folder, config = tmp_path / "my run", replace(config_of("neatq"), ticks=LONG_TICKS)
+    with begin(folder, config) as process:
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
     assert process.returncode == 130
     assert said == f"neatq: stopped; go on with: neatq resume '{folder}'\n"
     assert main(["resume", str(folder)]) == 0
     assert capsys.readouterr().err == ""
-    ours, stopped = state_of(whole("neatq")), state_of(folder)
+    start(config, tmp_path / "whole")
+    ours, stopped = state_of(tmp_path / "whole"), state_of(folder)
     assert differences(ours, stopped) == ["/config/checkpoint_seconds"]
 
 
