@@ -20,6 +20,7 @@ from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.genome import GenomeError
 from neatq_trainers.config import ConfigError, RunConfig, preset
 from neatq_trainers.report import write_report
+from neatq_trainers.reproduce.command import ReproduceCommand, run_command
 from neatq_trainers.run_folder import (
     ANIMATION,
     ARENA,
@@ -36,12 +37,13 @@ Command = TypeVar("Command")
 
 _RESULTS = (METRICS, CURVES, ARENA, ANIMATION, CHAMPION)
 
-_USAGE = """usage: neatq {train,resume} ...
+_USAGE = """usage: neatq {train,resume,reproduce} ...
 
 Neuroevolution that learns during life: robots, a flag, rtNEAT and Q-learning.
 
-  neatq train   train a population and write a run folder   (neatq train --help)
-  neatq resume  go on with a run, exactly where it stopped  (neatq resume --help)
+  neatq train      train a population and write a run folder   (neatq train --help)
+  neatq resume     go on with a run, exactly where it stopped  (neatq resume --help)
+  neatq reproduce  run a published experiment                  (neatq reproduce list)
 
 Example: neatq train --task wall --arm neatq --ticks 70000 --seed 0 --out runs/first
 """
@@ -75,12 +77,12 @@ class ResumeCommand:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status (2 for bad input, 130 after Ctrl-C)."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    commands = {"train": _train, "resume": _resume}
+    commands = {"train": _train, "resume": _resume, "reproduce": _reproduce}
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_USAGE, end="")
         return 0 if arguments else 2
     if arguments[0] not in commands:
-        return _fail(f"expected train or resume, got {arguments[0]!r}; see neatq --help")
+        return _fail(f"expected train, resume or reproduce; got {arguments[0]!r}; see neatq --help")
     torch.set_num_threads(1)  # small tensors: a second thread only gets in the way
     gc.freeze()  # the garbage collector need not look through torch again and again
     try:
@@ -124,6 +126,15 @@ def _resume(arguments: list[str]) -> None:
     command = _parse(ResumeCommand, "resume", arguments)
     with _saying_how_to_go_on(command.folder):
         _finish(resume(command.folder, command.ticks))
+
+
+def _reproduce(arguments: list[str]) -> None:
+    command = _parse(ReproduceCommand, "reproduce", arguments)
+    try:
+        run_command(command)
+    except KeyboardInterrupt as error:
+        advice = "; what is finished is kept: the same command goes on"
+        raise KeyboardInterrupt(advice) from error
 
 
 @contextmanager

@@ -152,9 +152,13 @@ def open_workers(
 
 def fitting_workers(arenas: int) -> int:
     """How many processes make the most of this machine for so many arenas."""
+    return max(1, min(usable_cores(), arenas // ARENAS_PER_WORKER))
+
+
+def usable_cores() -> int:
+    """How many cores this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)  # not every system has it
-    cores = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
-    return max(1, min(cores, arenas // ARENAS_PER_WORKER))
+    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
 
 
 def _serve(pipe: Connection) -> None:

@@ -1,0 +1,73 @@
+"""`neatq reproduce`: which experiments there are, and how one is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from neatq_trainers.config import ConfigError
+from neatq_trainers.reproduce.experiment import Experiment
+from neatq_trainers.reproduce.runner import reproduce
+from neatq_trainers.workers import usable_cores
+
+EXPERIMENTS: tuple[Experiment, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReproduceCommand:
+    """Run a published experiment on all cores, and print it beside the published figures.
+
+    Seeds that are finished are not run again, so an interrupted experiment goes on where it was.
+    """
+
+    name: tyro.conf.Positional[str]
+    """Which experiment; `neatq reproduce list` tells what there is."""
+    quick: bool = False
+    """Run a small part only, with fewer seeds: minutes instead of hours."""
+    seeds: int | None = None
+    """Seeds 0, 1, ... of each arm. Default: as many as the documentation's table has."""
+    jobs: int | None = None
+    """Processes; the results do not depend on it. Default: one for each core."""
+    out: Path = Path("runs/reproduce")
+    """Where results are kept, in a folder for each experiment."""
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        for name in ("seeds", "jobs"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ConfigError(f"{name}: expected at least 1, got {value}")
+
+
+def run_command(command: ReproduceCommand) -> None:
+    """Do what the command asks for, and print the table.
+
+    Raises:
+        ConfigError: If there is no such experiment.
+    """
+    if command.name == "list":
+        print(overview(), end="")
+        return
+    experiment = find(command.name)
+    planned = experiment.quick_seeds if command.quick else experiment.seeds
+    seeds = planned if command.seeds is None else command.seeds
+    jobs = usable_cores() if command.jobs is None else command.jobs
+    out = command.out / experiment.name
+    print(reproduce(experiment, out, seeds=seeds, quick=command.quick, jobs=jobs), end="")
+
+
+def find(name: str) -> Experiment:
+    """The experiment of that name; ConfigError if there is none."""
+    for experiment in EXPERIMENTS:
+        if experiment.name == name:
+            return experiment
+    known = ", ".join(experiment.name for experiment in EXPERIMENTS)
+    raise ConfigError(f"reproduce: expected list or one of {known}; got {name!r}")
+
+
+def overview() -> str:
+    """One line for each experiment."""
+    width = max((len(experiment.name) for experiment in EXPERIMENTS), default=0)
+    return "".join(f"{one.name:{width}}  {one.summary}\n" for one in EXPERIMENTS)

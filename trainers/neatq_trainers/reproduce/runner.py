@@ -1,0 +1,134 @@
+"""Running an experiment: on all cores, one file for each finished seed, never twice."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from pathlib import Path
+
+import torch
+from tqdm import tqdm
+
+from neatq_torch.atomic import write_atomic
+from neatq_trainers.report import save_figure
+from neatq_trainers.reproduce.experiment import Experiment, Result, Results, Task
+from neatq_trainers.run_folder import RunFolderError
+
+TABLE, FIGURE = "table.md", "figure.png"
+
+
+def reproduce(experiment: Experiment, out: Path, *, seeds: int, quick: bool, jobs: int) -> str:
+    """Run what is missing of an experiment, and write its table and figure.
+
+    Args:
+        experiment: What to run.
+        out: Folder of its results; those that are there are kept.
+        seeds: Seeds 0, 1, ... of each arm.
+        quick: Whether a small part of the work is enough; such results are kept apart.
+        jobs: Processes.
+
+    Returns:
+        The table, Markdown.
+
+    Raises:
+        RunFolderError: If a result in the folder cannot be read.
+    """
+    folder = out / ("quick" if quick else "full")
+    _run(experiment, tasks(experiment, folder, seeds=seeds, quick=quick), jobs)
+    results = read_results(experiment, folder, seeds)
+    table = experiment.table(results)
+    write_atomic(folder / TABLE, table)
+    if experiment.figure is not None:
+        save_figure(experiment.figure(results), folder / FIGURE)
+    return table
+
+
+def tasks(experiment: Experiment, folder: Path, *, seeds: int, quick: bool) -> list[Task]:
+    """The tasks that have no result yet; the same seed of all arms comes before the next seed."""
+    tasks = []
+    for first in range(0, seeds, experiment.batch):
+        batch = range(first, min(first + experiment.batch, seeds))
+        for arm in experiment.arms:
+            missing = tuple(seed for seed in batch if not result_path(folder, arm, seed).is_file())
+            if missing:
+                work = folder / arm / f"work-{first}"
+                tasks.append(Task(arm, missing, quick, work))
+    return tasks
+
+
+def result_path(folder: Path, arm: str, seed: int) -> Path:
+    """The file of one seed's result."""
+    return folder / arm / f"seed-{seed}.json"
+
+
+def read_results(experiment: Experiment, folder: Path, seeds: int) -> Results:
+    """The results of seeds 0, 1, ... of every arm, as far as they are there."""
+    return {
+        arm: [
+            _read(path)
+            for seed in range(seeds)
+            if (path := result_path(folder, arm, seed)).exists()
+        ]
+        for arm in experiment.arms
+    }
+
+
+def _read(path: Path) -> Result:
+    try:
+        return json.loads(path.read_bytes())
+    except ValueError as error:
+        raise RunFolderError(
+            f"{path}: damaged ({error}); delete it, and its seed is run again"
+        ) from error
+
+
+def _run(experiment: Experiment, tasks: list[Task], jobs: int) -> None:
+    """Run all tasks; the first error is raised when all others are finished."""
+    errors: list[BaseException] = []
+    with _progress(experiment.name, tasks) as progress, _processes(jobs) as pool:
+        waiting = {pool.submit(_perform, experiment.run, task): task for task in tasks}
+        for done in as_completed(waiting):
+            if (error := done.exception()) is not None:
+                error.add_note(f"in {experiment.name}: {waiting[done]}")
+                errors.append(error)
+            progress.update(len(waiting[done].seeds))
+    if errors:
+        raise errors[0]
+
+
+def _progress(name: str, tasks: list[Task]) -> tqdm:
+    seeds = sum(len(task.seeds) for task in tasks)
+    return tqdm(total=seeds, desc=name, unit=" runs", disable=not sys.stderr.isatty())
+
+
+@contextmanager
+def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that do not outlive an error or Ctrl-C."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, context, _begin_process) as pool:
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
+
+
+def _begin_process() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asks
+    torch.set_num_threads(1)
+
+
+def _perform(run: Callable[[Task], list[Result]], task: Task) -> None:
+    """Run a task and keep its results."""
+    task.folder.mkdir(parents=True, exist_ok=True)
+    folder = task.folder.parent.parent
+    for seed, result in zip(task.seeds, run(task), strict=True):
+        text = json.dumps({"seed": seed, **result}, indent=1) + "\n"
+        write_atomic(result_path(folder, task.arm, seed), text)
