@@ -8,11 +8,12 @@ from pathlib import Path
 import tyro
 
 from neatq_trainers.config import ConfigError
+from neatq_trainers.reproduce import arena
 from neatq_trainers.reproduce.experiment import Experiment
 from neatq_trainers.reproduce.runner import reproduce
 from neatq_trainers.workers import usable_cores
 
-EXPERIMENTS: tuple[Experiment, ...] = ()
+EXPERIMENTS: tuple[Experiment, ...] = (arena.EXPERIMENT,)
 
 
 @dataclass(frozen=True, kw_only=True)

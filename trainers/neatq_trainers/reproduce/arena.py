@@ -1,4 +1,4 @@
-"""The published arms against their specification: `python -m neatq_trainers.reproduction`.
+"""The published arms against their specification.
 
 The specification is a replica of OpenNERO's rtNEAT experiments that was written from its source
 code, independently of this project: the mean distance of the team to the flag, as means over each
@@ -9,23 +9,20 @@ run each, are read off their figures.
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import torch
-import tyro
 from matplotlib.figure import Figure
 
-from neatq_torch.atomic import write_atomic
 from neatq_trainers.config import TASK_TICKS, Arm, preset
 from neatq_trainers.metrics import ROW_TICKS
-from neatq_trainers.report import read_metrics, save_figure
+from neatq_trainers.report import read_metrics
+from neatq_trainers.reproduce.experiment import Experiment, Result, Results, Task
 from neatq_trainers.run_folder import CHECKPOINT
 from neatq_trainers.train import resume, start
-from neatq_trainers.workers import fitting_workers
 
 
 class Specification(NamedTuple):
@@ -52,43 +49,37 @@ Curves = dict[tuple[str, Arm], np.ndarray]
 PUBLISHED = {"rtneat": "rtneat", "committed": "rtneat+q", "qlearning": "qlearning"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """Run the published arms over many seeds and compare them with their specification.
-
-    Cells that are finished are not run again; interrupted ones go on.
-    """
-
-    out: Path = Path("runs/reproduction")
-    """Where the run folders, the table and the figure go."""
-    seeds: int = 16
-    """Seeds 0, 1, ... of each cell, side by side in one run."""
-    tasks: tuple[str, ...] = ("flag", "wall")
-    """Tasks to run."""
-    arms: tuple[Arm, ...] = ("rtneat", "committed", "qlearning")
-    """Arms to run."""
+QUICK_SHARE = 4
+"""With `--quick` only the first quarter of a run is made."""
 
 
-def main() -> None:
-    """Run what is missing, then write `reproduction.md` and `reproduction.png`."""
-    options = tyro.cli(Options, prog="python -m neatq_trainers.reproduction")
-    torch.set_num_threads(1)
-    curves: Curves = {}
-    for task, arm in SPECIFICATION:
-        folder = options.out / f"{task}-{arm}"
-        if task in options.tasks and arm in options.arms:
-            if (folder / CHECKPOINT).exists():
-                resume(folder)
-            else:
-                config = replace(preset(task, arm), arenas=options.seeds)
-                start(config, folder, workers=fitting_workers(options.seeds))
-        if (folder / CHECKPOINT).exists():
-            curve = mean_distances(folder)
-            if curve.shape[1] == TASK_TICKS[task] // ROW_TICKS:  # else another process is at it
-                curves[task, arm] = curve
-    write_atomic(options.out / "reproduction.md", table(curves))
-    save_figure(draw(curves), options.out / "reproduction.png")
-    print(table(curves))
+def run(task: Task) -> list[Result]:
+    """Run an arm over its seeds side by side; goes on with a run that was interrupted."""
+    name, arm = split(task.arm)
+    first, last = task.seeds[0], task.seeds[-1]
+    ticks = TASK_TICKS[name] // (QUICK_SHARE if task.quick else 1)
+    folder = task.folder / f"seeds-{first}-{last}"
+    if (folder / CHECKPOINT).exists():
+        resume(folder)
+    else:
+        arenas = last - first + 1
+        start(replace(preset(name, arm), ticks=ticks, arenas=arenas, seed=first), folder)
+    curves = mean_distances(folder)[[seed - first for seed in task.seeds]]
+    return [{"mean_distance": np.round(curve, 4).tolist()} for curve in curves]
+
+
+def split(cell: str) -> tuple[str, Arm]:
+    """Task and arm of an arm of the experiment, which is called `task-arm`."""
+    return next(key for key in SPECIFICATION if "-".join(key) == cell)
+
+
+def curves_of(results: Results) -> Curves:
+    """The curves of all arms that have results."""
+    return {
+        split(cell): np.array([result["mean_distance"] for result in one])
+        for cell, one in results.items()
+        if one
+    }
 
 
 def mean_distances(folder: Path) -> np.ndarray:
@@ -98,14 +89,19 @@ def mean_distances(folder: Path) -> np.ndarray:
     return metrics["mean_distance"].reshape(-1, seeds).T
 
 
-def summary(curve: np.ndarray) -> np.ndarray:
-    """Means over the quarters and the last tenth of curves [seeds, rows]: [seeds, 5]."""
-    rows = curve.shape[1]
-    quarters = [curve[:, i * rows // 4 : (i + 1) * rows // 4].mean(1) for i in range(4)]
-    return np.stack([*quarters, curve[:, -rows // 10 :].mean(1)], 1)
+def summary(curve: np.ndarray, rows: int) -> np.ndarray:
+    """Means over the quarters and the last tenth of curves [seeds, rows done]: [seeds, <= 5].
+
+    Args:
+        curve: The rows that there are.
+        rows: Those of a whole run; quarters that are not over are left out.
+    """
+    done = [(i * rows // 4, (i + 1) * rows // 4) for i in range(4)] + [(rows - rows // 10, rows)]
+    parts = [curve[:, start:end].mean(1) for start, end in done if end <= curve.shape[1]]
+    return np.stack(parts, 1)
 
 
-def table(curves: Curves) -> str:
+def table(results: Results) -> str:
     """A Markdown table: ours with standard errors, the specification, and the difference.
 
     Beside each difference stands what is allowed: two of our standard errors, widened by the
@@ -116,15 +112,18 @@ def table(curves: Curves) -> str:
         "| task | arm | seeds | quarter 1 | quarter 2 | quarter 3 | quarter 4 | last tenth |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for (task, arm), curve in curves.items():
-        ours, spec = summary(curve), SPECIFICATION[task, arm]
+    for (task, arm), curve in curves_of(results).items():
+        spec = SPECIFICATION[task, arm]
+        ours = summary(curve, TASK_TICKS[task] // ROW_TICKS)
         mean, error = ours.mean(0), ours.std(0, ddof=1) / np.sqrt(len(ours))
         cells = [f"{m:.1f} ± {e:.1f}" for m, e in zip(mean, error, strict=True)]
         lines.append(f"| {task} | {arm} | {len(ours)} | {' | '.join(cells)} |")
-        cells = [f"{value:g}" for value in spec.means] + [""] * (mean.size - len(spec.means))
+        known = [f"{value:g}" for value in spec.means[: mean.size]]
+        cells = known + [""] * (mean.size - len(known))
         lines.append(f"| | specification | {spec.seeds} | {' | '.join(cells)} |")
         if spec.spread is not None:
-            both = zip(mean - spec.means, 2 * error + spec.spread, strict=True)
+            apart = mean - spec.means[: mean.size]
+            both = zip(apart, 2 * error + spec.spread, strict=True)
             cells = [f"{apart:+.1f} ({allowed:.1f})" for apart, allowed in both]
             lines.append(f"| | difference (allowed) | | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
@@ -141,8 +140,9 @@ def published_curves() -> dict[tuple[str, str], np.ndarray]:
     return {key: np.array(value) for key, value in points.items()}
 
 
-def draw(curves: Curves) -> Figure:
+def draw(results: Results) -> Figure:
     """One panel for each task and arm: our seeds, their mean, and the published run."""
+    curves = curves_of(results)
     tasks = list(dict.fromkeys(task for task, _ in curves))
     arms = list(dict.fromkeys(arm for _, arm in curves))
     figure = Figure(figsize=(4.2 * len(arms), 3.2 * len(tasks)), layout="constrained")
@@ -166,5 +166,14 @@ def draw(curves: Curves) -> Figure:
     return figure
 
 
-if __name__ == "__main__":
-    main()
+EXPERIMENT = Experiment(
+    name="arena",
+    summary="Robertson & Wu (2014): the published arms on the flag and on the wall",
+    arms=tuple("-".join(key) for key in SPECIFICATION),
+    seeds=16,
+    quick_seeds=2,
+    batch=8,
+    run=run,
+    table=table,
+    figure=draw,
+)
