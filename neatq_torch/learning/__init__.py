@@ -1,7 +1,8 @@
 """Acting and temporal-difference learning, as TorchRL parts."""
 
-from neatq_torch.learning.candidates import CandidateHeads, CandidatePolicy, CandidateValue
+from neatq_torch.learning.candidates import CandidatePolicy, CandidateValue
 from neatq_torch.learning.exploration import EpsilonGreedy
+from neatq_torch.learning.heads import CandidateHeads, DiscreteHeads, Heads
 from neatq_torch.learning.inheritance import Inheritance, write_back
 from neatq_torch.learning.learner import Learner, LearnerConfig, NoLearning, TDLearner
 from neatq_torch.learning.objectives import CandidateTDLoss
@@ -12,7 +13,9 @@ __all__ = [
     "CandidatePolicy",
     "CandidateTDLoss",
     "CandidateValue",
+    "DiscreteHeads",
     "EpsilonGreedy",
+    "Heads",
     "Inheritance",
     "Learner",
     "LearnerConfig",

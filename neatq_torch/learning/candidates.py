@@ -1,8 +1,7 @@
-"""Networks that put out candidate actions, and the policy that takes one of them."""
+"""The values of candidate actions, and the policy that takes one of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -11,57 +10,8 @@ from tensordict.nn import TensorDictModuleBase, dispatch
 from torch import Tensor, nn
 
 from neatq_torch.learning.exploration import EpsilonGreedy
+from neatq_torch.learning.heads import Heads, check_heads
 from neatq_torch.network import PopulationNetwork
-
-
-class CandidateHeads(nn.Module):
-    """Reads network outputs as K candidate actions and a Q-value for each.
-
-    Candidate c is outputs [A c, A (c + 1)) and its value is output A K + c, the layout of
-    Robertson & Wu (2014). Actions are read on [0, 1], the range of a sigmoid (values outside are
-    clipped), and scaled to [low, high]. A single candidate leaves nothing to choose: it has no
-    value output, and its value is zero.
-
-    Args:
-        candidates: K, at least 1.
-        low: Smallest action [A].
-        high: Largest action [A].
-
-    Raises:
-        ValueError: If K is less than 1 or the bounds do not fit each other.
-    """
-
-    low: Tensor
-    span: Tensor
-
-    def __init__(self, candidates: int, low: Sequence[float], high: Sequence[float]) -> None:
-        super().__init__()
-        if candidates < 1:
-            raise ValueError(f"expected at least 1 candidate, got {candidates}")
-        if len(low) != len(high) or any(a > b for a, b in zip(low, high, strict=True)):
-            raise ValueError(f"expected low <= high for every action, got {low} and {high}")
-        self.candidates = candidates
-        self.actions = len(low)
-        smallest = torch.tensor(low, dtype=torch.get_default_dtype())
-        self.register_buffer("low", smallest, persistent=False)
-        self.register_buffer("span", smallest.new_tensor(high) - smallest, persistent=False)
-
-    @property
-    def outputs(self) -> int:
-        """Network outputs that these heads read."""
-        return self.candidates * (self.actions + (self.candidates > 1))
-
-    def forward(self, output: Tensor) -> tuple[Tensor, Tensor]:
-        """Split outputs [..., outputs] into candidates [..., K, A] and values [..., K]."""
-        unit = output[..., : self.candidates * self.actions].clamp(0, 1)
-        unit = unit.unflatten(-1, (self.candidates, self.actions))
-        return self.low + unit * self.span, self.values(output)
-
-    def values(self, output: Tensor) -> Tensor:
-        """The values [..., K] alone."""
-        if self.candidates == 1:
-            return torch.zeros_like(output[..., :1])
-        return output[..., self.candidates * self.actions :]
 
 
 class CandidateValue(TensorDictModuleBase):
@@ -72,7 +22,7 @@ class CandidateValue(TensorDictModuleBase):
     them.
     """
 
-    def __init__(self, network: PopulationNetwork, heads: CandidateHeads) -> None:
+    def __init__(self, network: PopulationNetwork, heads: Heads) -> None:
         super().__init__()
         self.in_keys = ["observation"]
         self.out_keys = ["action_value", "chosen_action_value"]
@@ -121,7 +71,7 @@ class CandidatePolicy(TensorDictModuleBase):
     def __init__(
         self,
         network: PopulationNetwork,
-        heads: CandidateHeads,
+        heads: Heads,
         exploration: EpsilonGreedy,
         *,
         double_activation: bool = False,
@@ -199,12 +149,3 @@ class CandidatePolicy(TensorDictModuleBase):
         self.memory = nn.functional.pad(saved, (0, missing))
         self.previous = torch.as_tensor(state["previous"]).to(self.previous)
         self.exploration.load_state(state["exploration"])
-
-
-def check_heads(network: PopulationNetwork, heads: CandidateHeads) -> None:
-    """Raise ValueError unless the networks have the outputs that the heads read."""
-    if network.outputs != heads.outputs:
-        raise ValueError(
-            f"{heads.candidates} candidates of {heads.actions} actions need {heads.outputs} "
-            f"network outputs; the networks have {network.outputs}"
-        )

@@ -9,7 +9,14 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from neatq_torch.genome import initial_genome
-from neatq_torch.learning import CandidateHeads, CandidatePolicy, EpsilonGreedy
+from neatq_torch.learning import (
+    CandidateHeads,
+    CandidatePolicy,
+    CandidateValue,
+    DiscreteHeads,
+    EpsilonGreedy,
+    Heads,
+)
 from neatq_torch.network import PopulationNetwork
 
 
@@ -32,6 +39,49 @@ def test_a_single_candidate_needs_no_value_output() -> None:
 def test_outputs_beyond_the_unit_range_are_clipped_to_the_bounds() -> None:
     candidates, _ = CandidateHeads(1, [-1.0], [1.0])(torch.tensor([7.0]))
     assert candidates.item() == 1.0
+
+
+def test_discrete_actions_are_numbers_and_every_output_is_a_value() -> None:
+    heads = DiscreteHeads(3)
+    candidates, values = heads(torch.tensor([[0.1, 0.7, -2.0]]))
+    assert heads.outputs == heads.candidates == 3
+    assert candidates.tolist() == [[[0.0], [1.0], [2.0]]]
+    torch.testing.assert_close(values, torch.tensor([[0.1, 0.7, -2.0]]))
+
+
+def test_values_are_scaled_to_their_range_and_actions_are_not() -> None:
+    output = torch.tensor([0.25, 0.5, 0.0, 1.0])
+    candidates, values = CandidateHeads(2, [0.0], [1.0], value_range=(-100.0, 20.0))(output)
+    assert candidates.flatten().tolist() == [0.25, 0.5]
+    assert values.tolist() == [-100.0, 20.0]
+    discrete = DiscreteHeads(4, value_range=(-100.0, 20.0))
+    assert discrete.values(output).tolist() == [-70.0, -40.0, -100.0, 20.0]
+
+
+@pytest.mark.parametrize("heads", [CandidateHeads(2, [0.0], [1.0]), DiscreteHeads(4)])
+def test_values_of_the_plain_range_are_the_outputs_themselves(heads: Heads) -> None:
+    output = torch.rand(5, 4)
+    assert heads.values(output).untyped_storage().data_ptr() == output.untyped_storage().data_ptr()
+
+
+@pytest.mark.parametrize("bounds", [(1.0, 1.0), (0.0, np.inf), (2.0, -2.0), (np.nan, 1.0)])
+def test_value_ranges_that_hold_nothing_are_refused(bounds: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="value_range: expected finite low < high"):
+        DiscreteHeads(2, value_range=bounds)
+
+
+def test_a_policy_with_discrete_actions_takes_the_best_and_knows_its_value() -> None:
+    genome = initial_genome(1, 3, rng=np.random.default_rng(0), bias=False, activation="identity")
+    genome = genome.with_weights([0.1, 0.4, -0.2])
+    network = PopulationNetwork([genome], shape=(1, 1))
+    heads = DiscreteHeads(3, value_range=(-1.0, 9.0))
+    tick = TensorDict({"observation": torch.tensor([[[2.0]]])}, (1, 1))
+    CandidatePolicy(network, heads, greedy((1, 1), epsilon=0.0))(tick)
+    assert tick["candidate_index"].tolist() == [[1]]
+    assert tick["action"].tolist() == [[[1.0]]]
+    torch.testing.assert_close(tick["chosen_action_value"], torch.tensor([[[7.0]]]))
+    found = CandidateValue(network, heads)(tick.select("observation"))
+    torch.testing.assert_close(found["action_value"], torch.tensor([[[1.0, 7.0, -5.0]]]))
 
 
 def test_heads_that_do_not_fit_the_network_are_refused() -> None:
