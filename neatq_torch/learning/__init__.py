@@ -7,6 +7,7 @@ from neatq_torch.learning.inheritance import Inheritance, write_back
 from neatq_torch.learning.learner import Learner, LearnerConfig, NoLearning, TDLearner
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.table import QTable, TableLearner, TablePolicy
+from neatq_torch.learning.traces import TraceConfig, TraceLearner
 
 __all__ = [
     "CandidateHeads",
@@ -24,5 +25,7 @@ __all__ = [
     "TDLearner",
     "TableLearner",
     "TablePolicy",
+    "TraceConfig",
+    "TraceLearner",
     "write_back",
 ]

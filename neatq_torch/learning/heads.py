@@ -23,6 +23,9 @@ class Heads(Protocol):
     actions: int
     """Numbers A that one action consists of."""
 
+    value_range: ValueRange
+    """Q-values that the outputs 0 and 1 stand for."""
+
     @property
     def outputs(self) -> int:
         """Network outputs that these heads read."""

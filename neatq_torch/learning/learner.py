@@ -6,13 +6,13 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
-import numpy as np
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor, nn
+from torch import Tensor
 from torchrl.objectives import SoftUpdate
 
 from neatq_torch.learning.objectives import CandidateTDLoss
+from neatq_torch.learning.steps import fitted, take_over, widened
 from neatq_torch.network import PopulationNetwork
 
 State = dict[str, Any]
@@ -148,9 +148,7 @@ class TDLearner:
         assert gradient is not None
         if self.adam:
             gradient = self._adam(gradient)
-        changed = weight - self.learning_rate.unsqueeze(1) * gradient
-        finite = torch.isfinite(changed).all(1, keepdim=True)
-        weight.copy_(torch.where(finite, changed, weight))
+        take_over(weight, weight - self.learning_rate.unsqueeze(1) * gradient)
 
     def _adam(self, gradient: Tensor) -> Tensor:
         first, second = self._BETAS
@@ -169,19 +167,17 @@ class TDLearner:
 
         Call it after the newborns' genomes stand in the network.
         """
-        missing = self.network.weight.shape[1] - self.first_moment.shape[1]
-        if missing:
-            self.first_moment = nn.functional.pad(self.first_moment, (0, missing))
-            self.second_moment = nn.functional.pad(self.second_moment, (0, missing))
+        weight = self.network.weight
+        self.first_moment = widened(self.first_moment, weight)
+        self.second_moment = widened(self.second_moment, weight)
         rows = newborn.reshape(-1, 1)
         self.steps.masked_fill_(rows.squeeze(1), 0)
         self.first_moment.masked_fill_(rows, 0)
         self.second_moment.masked_fill_(rows, 0)
         if self.target_update is not None:
             target = self._target_weight()
-            if missing:
-                target.data = nn.functional.pad(target.data, (0, missing))
-            target.copy_(torch.where(rows, self.network.weight, target))
+            target.data = widened(target.data, weight)
+            target.copy_(torch.where(rows, weight, target))
 
     def _target_weight(self) -> Tensor:
         return self.loss.target_value_network_params["network", "weight"]
@@ -203,16 +199,7 @@ class TDLearner:
         """Go on from `state`."""
         for name in ("learning_rate", "steps", "first_moment", "second_moment"):
             own = getattr(self, name)
-            own.copy_(_like(state[name], own))
+            own.copy_(fitted(state[name], own))
         if self.target_update is not None:
             target = self._target_weight()
-            target.copy_(_like(state["target_weight"], target))
-
-
-def _like(saved: Tensor | np.ndarray, own: Tensor) -> Tensor:
-    """A saved tensor on the device of `own`, cut or padded to as many columns.
-
-    Columns that only one of them has belong to no link and hold zeros.
-    """
-    saved = torch.as_tensor(saved).to(own)
-    return nn.functional.pad(saved, (0, own.shape[-1] - saved.shape[-1]))
+            target.copy_(fitted(state["target_weight"], target))

@@ -1,0 +1,168 @@
+"""Q(lambda) on-line: eligibility traces on the weights of every network."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from neatq_torch.learning.heads import Heads, check_heads
+from neatq_torch.learning.learner import State
+from neatq_torch.learning.steps import fitted, take_over, widened
+from neatq_torch.network import PopulationNetwork
+
+
+@dataclass(frozen=True, kw_only=True)
+class TraceConfig:
+    """How networks learn with traces; the defaults are those of NEAT+Q on the mountain car.
+
+    Attributes:
+        learning_rate: alpha, in units of the network outputs, see `TraceLearner`.
+        discount: gamma.
+        trace_decay: lambda; 0 is one-step Q-learning.
+    """
+
+    learning_rate: float = 0.1
+    discount: float = 1.0
+    trace_decay: float = 0.6
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        if not 0 <= self.learning_rate < math.inf:
+            raise ValueError(
+                f"learning_rate: expected a finite number of at least 0, got {self.learning_rate}"
+            )
+        for name in ("discount", "trace_decay"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name}: expected within [0, 1], got {getattr(self, name)}")
+
+
+class TraceLearner:
+    """Watkins's Q(lambda) with accumulating traces, one trace for every weight of every network.
+
+    For each tick (s, a, r, s') in turn, with the weights as the tick before left them:
+
+        delta = r + gamma max_k Q(s', k) - Q(s, a)         (no max where s' is terminal)
+        e <- gamma lambda e + dQ(s, a)/dw                  (gamma lambda -> 0 if a is not greedy)
+        w <- w + alpha delta e
+        e <- 0                                             (where the episode is done)
+
+    This is Q-learning, not Sarsa: the target takes the best action of s', whatever is done there
+    (Whiteson & Stone 2006, who back-propagate towards r + gamma max Q with traces). The order is
+    that of Sutton & Barto (1998, figure 8.9): an exploratory action, one of less than the greatest
+    value of s, gets no credit onto what came before it, but is itself learnt from, and opens a new
+    trace. The end of an episode by time (truncated) bootstraps and clears the trace; one by
+    termination does not bootstrap.
+
+    As in NEAT+Q, errors and gradients are those of the network's outputs, before they are scaled to
+    the heads' `value_range`, so that a learning rate means the same at any range.
+
+    The trace belongs to a robot's place and is cleared when a newborn takes it. Transitions whose
+    `genome_id` is not that of the network standing in the place now change neither weights nor
+    trace. An update that would make a weight infinite or NaN is not applied to that robot and
+    clears its trace. Gradients do not reach back through recurrent state: the calls before count
+    as inputs, as everywhere in this package.
+
+    Args:
+        network: The networks.
+        heads: How their outputs are read.
+        config: Learning rate, discount and trace decay; None for the defaults.
+
+    Attributes:
+        learning_rate: alpha of each robot [networks]; may be changed in place.
+        trace: e [networks, columns], as the weights.
+
+    Raises:
+        ValueError: If heads and networks do not fit, or there is nothing to choose.
+    """
+
+    def __init__(
+        self, network: PopulationNetwork, heads: Heads, config: TraceConfig | None = None
+    ) -> None:
+        check_heads(network, heads)
+        if heads.candidates < 2:
+            raise ValueError("expected at least 2 candidates, got 1: it has no Q-value to learn")
+        self.network = network
+        self.heads = heads
+        self.config = config or TraceConfig()
+        weight = network.weight
+        self.learning_rate = weight.new_full((len(weight),), self.config.learning_rate)
+        self.trace = torch.zeros_like(weight, requires_grad=False)
+        low, high = heads.value_range
+        self._unit = 1 / (high - low)
+
+    def update(self, batch: TensorDictBase) -> Tensor:
+        """Learn from every tick in turn; meant for batches of one.
+
+        Args:
+            batch: Transitions [*shape, ticks]: `observation`, `candidate_index`, `genome_id`,
+                `("next", observation / reward / terminated / done)`, and `network_state` and
+                `("next", "network_state")` where networks are recurrent.
+
+        Returns:
+            Mean squared TD error of each robot's own transitions [*shape], in units of Q.
+        """
+        own = batch.get("genome_id").squeeze(-1) == self.network.genome_id.unsqueeze(-1)
+        ticks = range(own.shape[-1])
+        errors = torch.stack([self._learn(batch, tick, own[..., tick]) for tick in ticks], -1)
+        return torch.where(own, errors.square(), 0).sum(-1) / own.sum(-1).clamp_min(1)
+
+    def _learn(self, batch: TensorDictBase, tick: int, own: Tensor) -> Tensor:
+        """One tick of robots `own` [*shape]; returns the TD errors [*shape]."""
+        values = self._values(batch, tick)
+        index = batch.get("candidate_index")[..., tick, None]
+        taken = torch.zeros_like(values).scatter_(-1, index, self._unit)
+        (gradient,) = torch.autograd.grad(values, self.network.weight, taken)
+        with torch.no_grad():
+            values = values.detach()
+            chosen = values.gather(-1, index).squeeze(-1)
+            error = self._target(batch, tick) - chosen
+            greedy = chosen == values.amax(-1)
+            done = batch.get(("next", "done"))[..., tick, 0]
+            self._step(gradient, error, greedy, own, done)
+        return error
+
+    def _step(
+        self, gradient: Tensor, error: Tensor, greedy: Tensor, own: Tensor, done: Tensor
+    ) -> None:
+        """Move traces and weights by gradients [networks, columns]; all else is [*shape]."""
+        weight, config = self.network.weight, self.config
+        decay = (config.discount * config.trace_decay) * greedy.view(-1, 1)
+        trace = self.trace * decay + gradient
+        rate = self.learning_rate * (self._unit * error.flatten())
+        changed = take_over(weight, weight + rate.unsqueeze(1) * trace, own.reshape(-1, 1))
+        lasting = changed & ~done.reshape(-1, 1)
+        trace = torch.where(lasting, trace, 0)
+        self.trace = torch.where(own.reshape(-1, 1), trace, self.trace)
+
+    def _target(self, batch: TensorDictBase, tick: int) -> Tensor:
+        best = self._values(batch, tick, "next").amax(-1)
+        over = batch.get(("next", "terminated"))[..., tick, 0]
+        reward = batch.get(("next", "reward"))[..., tick, 0]
+        return reward + torch.where(over, 0, self.config.discount * best)
+
+    def _values(self, batch: TensorDictBase, tick: int, *root: str) -> Tensor:
+        """Q(s) of a tick, or with root "next" Q(s') [*shape, K]."""
+        network, observation = self.network, batch.get((*root, "observation"))[..., tick, :]
+        if network.state_size:
+            state = batch.get((*root, "network_state"))[..., tick, :]
+            return self.heads.values(network.step(observation, state)[0])
+        return self.heads.values(network(observation))
+
+    def reset(self, newborn: Tensor) -> None:
+        """Clear the traces of the genomes before (mask [*shape]), once newborns stand there."""
+        trace = widened(self.trace, self.network.weight)
+        self.trace = trace.masked_fill(newborn.reshape(-1, 1), 0)
+
+    def state(self) -> State:
+        """Learning rates and traces."""
+        return {"learning_rate": self.learning_rate, "trace": self.trace}
+
+    def load_state(self, state: State) -> None:
+        """Go on from `state`."""
+        for name in ("learning_rate", "trace"):
+            own = getattr(self, name)
+            own.copy_(fitted(state[name], own))
