@@ -3,7 +3,7 @@
 from neatq_torch.learning.candidates import CandidatePolicy, CandidateValue
 from neatq_torch.learning.exploration import EpsilonGreedy
 from neatq_torch.learning.heads import CandidateHeads, DiscreteHeads, Heads
-from neatq_torch.learning.inheritance import Inheritance, write_back
+from neatq_torch.learning.inheritance import Heirs, Inheritance, write_back
 from neatq_torch.learning.learner import Learner, LearnerConfig, NoLearning, TDLearner
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.table import QTable, TableLearner, TablePolicy
@@ -17,6 +17,7 @@ __all__ = [
     "DiscreteHeads",
     "EpsilonGreedy",
     "Heads",
+    "Heirs",
     "Inheritance",
     "Learner",
     "LearnerConfig",

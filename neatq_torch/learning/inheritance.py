@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, Protocol
 
-from neatq_torch.evolution import RtNEAT
+from numpy.typing import ArrayLike
+
+from neatq_torch.genome import Genome
 from neatq_torch.network import PopulationNetwork
 
 Inheritance = Literal["lamarckian", "darwinian"]
@@ -13,7 +15,20 @@ Inheritance = Literal["lamarckian", "darwinian"]
 changes the robot's life and fitness, its genes never."""
 
 
-def write_back(network: PopulationNetwork, populations: Sequence[RtNEAT]) -> None:
+class Heirs(Protocol):
+    """What inheritance asks of a population, of whichever kind of evolution."""
+
+    @property
+    def genomes(self) -> Sequence[Genome]:
+        """The genomes alive, in the order of their places."""
+        ...
+
+    def write_back(self, slot: int, weights: ArrayLike) -> None:
+        """Give the genome in a place the weights, float32 [links], that were learnt there."""
+        ...
+
+
+def write_back(network: PopulationNetwork, populations: Sequence[Heirs]) -> None:
     """Copy every network's weights, bit for bit, into the genome that it was compiled from.
 
     Args:

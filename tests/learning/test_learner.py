@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from numpy.typing import ArrayLike
 from tensordict import TensorDict
 
 from neatq_torch.evolution import RtNEAT, RtNEATConfig
-from neatq_torch.genome import InnovationLedger, MutationConfig, initial_genome, mutate
+from neatq_torch.genome import Genome, InnovationLedger, MutationConfig, initial_genome, mutate
 from neatq_torch.learning import (
     CandidateHeads,
     CandidatePolicy,
@@ -176,6 +177,28 @@ def test_write_back_puts_exactly_what_was_learnt_into_the_genes() -> None:
     for slot, genome in enumerate(population.genomes):
         assert genome.link_weight.tobytes() == learnt[slot].tobytes()
         assert genome.link_weight.tobytes() != founders[slot].tobytes()
+
+
+class Plain:
+    """The least that a population must be able to do."""
+
+    def __init__(self, genomes: list[Genome]) -> None:
+        self.genomes = genomes
+
+    def write_back(self, slot: int, weights: ArrayLike) -> None:
+        self.genomes[slot] = self.genomes[slot].with_weights(weights)
+
+
+def test_any_population_may_inherit_each_arena_its_own_robots() -> None:
+    network, _, learner = parts(robots=4, learning_rate=0.5)
+    founders = network.genomes()
+    populations = [Plain(founders[:3]), Plain(founders[3:])]
+    learner.update(batch_of(network))
+    write_back(network, populations)
+    heirs = [genome for population in populations for genome in population.genomes]
+    for founder, heir, learnt in zip(founders, heirs, network.genomes(), strict=True):
+        assert heir.link_weight.tobytes() == learnt.link_weight.tobytes()
+        assert heir.link_weight.tobytes() != founder.link_weight.tobytes()
 
 
 def test_a_robot_learns_which_of_two_candidates_is_better() -> None:
