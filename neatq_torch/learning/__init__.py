@@ -8,6 +8,7 @@ from neatq_torch.learning.learner import Learner, LearnerConfig, NoLearning, TDL
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.table import QTable, TableLearner, TablePolicy
 from neatq_torch.learning.traces import TraceConfig, TraceLearner
+from neatq_torch.learning.wire_fitting import WireFittingLoss, wire_fit
 
 __all__ = [
     "CandidateHeads",
@@ -28,5 +29,7 @@ __all__ = [
     "TablePolicy",
     "TraceConfig",
     "TraceLearner",
+    "WireFittingLoss",
+    "wire_fit",
     "write_back",
 ]

@@ -20,12 +20,20 @@ class CandidateValue(TensorDictModuleBase):
     Reads `observation` [*shape, *batch, inputs], and `network_state` where the networks are
     recurrent. Writes `action_value` [..., K] and `chosen_action_value` [..., 1], the largest of
     them.
+
+    Args:
+        network: The networks of all robots.
+        heads: How outputs are read.
+        propose: Also write the `candidates` [..., K, A], as a `WireFittingLoss` needs them.
     """
 
-    def __init__(self, network: PopulationNetwork, heads: Heads) -> None:
+    def __init__(self, network: PopulationNetwork, heads: Heads, *, propose: bool = False) -> None:
         super().__init__()
         self.in_keys = ["observation"]
         self.out_keys = ["action_value", "chosen_action_value"]
+        if propose:
+            self.out_keys.append("candidates")
+        self.propose = propose
         check_heads(network, heads)
         self.network = network
         self.heads = heads
@@ -40,7 +48,11 @@ class CandidateValue(TensorDictModuleBase):
             output = self.network.step(observation, tensordict.get("network_state"))[0]
         else:
             output = self.network(observation)
-        values = self.heads.values(output)
+        if self.propose:
+            candidates, values = self.heads(output)
+            tensordict.set("candidates", candidates)
+        else:
+            values = self.heads.values(output)
         tensordict.set("action_value", values)
         return tensordict.set("chosen_action_value", values.amax(-1, keepdim=True))
 

@@ -127,13 +127,16 @@ class CandidateTDLoss(LossModule):
         data = tensordict.clone(False)
         with self.value_network_params.to_module(self.value_network):
             self.value_network(data)
-        chosen = tensordict.get(self.tensor_keys.action).unsqueeze(-1)
-        value = data.get(self.tensor_keys.action_value).gather(-1, chosen)
-        error = self._target(data) - value
+        error = self._target(data) - self._value(data)
         tensordict.set(self.tensor_keys.priority, error.detach().abs())
         loss = self._reduce_loss(0.5 * error.squeeze(-1).square(), tensordict=tensordict)
         self._clear_weakrefs(tensordict, "value_network_params", "target_value_network_params")
         return TensorDict({"loss": loss})
+
+    def _value(self, data: TensorDictBase) -> Tensor:
+        """The Q-value of the action that was taken [*shape, ticks, 1]."""
+        chosen = data.get(self.tensor_keys.action).unsqueeze(-1)
+        return data.get(self.tensor_keys.action_value).gather(-1, chosen)
 
     @torch.no_grad()
     def _target(self, data: TensorDictBase) -> Tensor:

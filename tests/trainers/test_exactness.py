@@ -24,7 +24,7 @@ from neatq_trainers.run_folder import CHECKPOINT, CONFIG, METRICS, RunFolder
 from neatq_trainers.train import resume, start
 
 ARMS = ("rtneat", "committed", "described", "neatq", "qlearning")
-CASES = (*ARMS, "neatq with target parameters")
+CASES = (*ARMS, "neatq with target parameters", "neatq with wire fitting")
 LONG_TICKS = 4000
 """A run that takes seconds, so that a signal meets it on its way."""
 State = dict[str, Any]
@@ -39,6 +39,9 @@ def config_of(tiny: Callable[..., RunConfig]) -> Callable[[str], RunConfig]:
         if case.endswith("target parameters"):
             step = replace(config.learning.step, target_tau=0.1)
             config = replace(config, learning=replace(config.learning, step=step))
+        if case.endswith("wire fitting"):
+            learning = replace(config.learning, rule="wire_fitting", trace_decay=0.5)
+            config = replace(config, learning=learning)
         return config
 
     return make

@@ -25,6 +25,7 @@ from neatq_torch.learning import (
     TableLearner,
     TablePolicy,
     TDLearner,
+    WireFittingLoss,
 )
 from neatq_torch.network import PopulationNetwork
 from neatq_trainers.config import RunConfig
@@ -162,8 +163,9 @@ def _learner(config: RunConfig, network: PopulationNetwork, heads: CandidateHead
     learning = config.learning
     if learning.rule == "none":
         return NoLearning(network)
-    loss = CandidateTDLoss(
-        CandidateValue(network, heads),
+    wires = learning.rule == "wire_fitting"
+    loss = (WireFittingLoss if wires else CandidateTDLoss)(
+        CandidateValue(network, heads, propose=wires),
         delay_value=learning.step.target_tau is not None,
         normalize_return=learning.normalize_return,
     )

@@ -64,8 +64,9 @@ class LearningConfig:
     """What a robot learns during its life.
 
     Attributes:
-        rule: none: evolution alone; td: TD error of the chosen candidate by autograd; table: one
-            Q-table for each robot and no evolution (OpenNERO's Q-learning).
+        rule: none: evolution alone; td: TD error of the chosen candidate by autograd;
+            wire_fitting: TD error of the value interpolated between all candidates, which moves
+            them too; table: one Q-table for each robot and no evolution (OpenNERO's Q-learning).
         step: Learning rate, optimiser and target parameters.
         discount: gamma of the return.
         trace_decay: lambda of the return; 0 is one-step Q-learning, 1 the whole batch.
@@ -75,7 +76,7 @@ class LearningConfig:
         inheritance: lamarckian: what was learnt is written into the genome before it breeds.
     """
 
-    rule: Literal["none", "td", "table"] = "td"
+    rule: Literal["none", "td", "wire_fitting", "table"] = "td"
     step: LearnerConfig = field(default_factory=LearnerConfig)
     discount: float = 0.8
     trace_decay: float = 0.0
@@ -158,7 +159,7 @@ class RunConfig:
                 f"scenario.robots: expected at least 2, got {self.scenario.robots}; one robot "
                 "is no population that could evolve (the arm qlearning can do with one)"
             )
-        if rule == "td" and self.network.candidates < 2:
+        if rule in ("td", "wire_fitting") and self.network.candidates < 2:
             raise ConfigError(
                 f"network.candidates: expected at least 2, got {self.network.candidates}; with "
                 "one there is no Q-value to learn (--learning.rule none goes without)"
