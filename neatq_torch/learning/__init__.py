@@ -6,11 +6,13 @@ from neatq_torch.learning.heads import CandidateHeads, DiscreteHeads, Heads
 from neatq_torch.learning.inheritance import Heirs, Inheritance, write_back
 from neatq_torch.learning.learner import Learner, LearnerConfig, NoLearning, TDLearner
 from neatq_torch.learning.objectives import CandidateTDLoss
+from neatq_torch.learning.replay import PRETRAINING, TransitionMemory, pretrain
 from neatq_torch.learning.table import QTable, TableLearner, TablePolicy
 from neatq_torch.learning.traces import TraceConfig, TraceLearner
 from neatq_torch.learning.wire_fitting import WireFittingLoss, wire_fit
 
 __all__ = [
+    "PRETRAINING",
     "CandidateHeads",
     "CandidatePolicy",
     "CandidateTDLoss",
@@ -29,7 +31,9 @@ __all__ = [
     "TablePolicy",
     "TraceConfig",
     "TraceLearner",
+    "TransitionMemory",
     "WireFittingLoss",
+    "pretrain",
     "wire_fit",
     "write_back",
 ]

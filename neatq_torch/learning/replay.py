@@ -1,0 +1,182 @@
+"""Stored transitions, and training on them before the first tick of a life."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import LazyTensorStorage, ReplayBuffer
+
+from neatq_torch.learning.heads import CandidateHeads
+from neatq_torch.learning.learner import LearnerConfig, State, TDLearner
+from neatq_torch.learning.objectives import CandidateTDLoss
+from neatq_torch.learning.wire_fitting import WireFittingLoss
+from neatq_torch.network import PopulationNetwork
+
+_NOW = ("observation", "action")
+_NEXT = ("observation", "reward", "terminated")
+
+PRETRAINING = LearnerConfig(learning_rate=0.01, optimizer="adam")
+
+
+class TransitionMemory:
+    """The latest transitions of a population, whoever made them.
+
+    Keeps observation, action, reward, next observation and whether that was terminal; of the
+    genome that acted it keeps nothing, so that any other can learn from them.
+
+    Args:
+        capacity: Transitions kept; the oldest make room.
+
+    Raises:
+        ValueError: If the capacity is less than 1.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        if capacity < 1:
+            raise ValueError(f"capacity: expected at least 1, got {capacity}")
+        self.capacity = capacity
+        self._clear()
+
+    def _clear(self) -> None:
+        self._buffer = ReplayBuffer(storage=LazyTensorStorage(self.capacity))
+        self._added = 0
+
+    def __len__(self) -> int:
+        return min(self._added, self.capacity)
+
+    def extend(self, batch: TensorDictBase) -> None:
+        """Store transitions [...], the first of a flat order first.
+
+        Those with `genome_id` -1 are left out. What arrives in another order is drawn in another
+        order, so whoever collects in several places must merge in the order of the genomes.
+        """
+        own = batch.get("genome_id").squeeze(-1) >= 0
+        now = {name: batch.get(name)[own] for name in _NOW}
+        self._store(now, {name: batch.get(("next", name))[own] for name in _NEXT})
+
+    def _store(self, now: dict[str, Tensor], following: dict[str, Tensor]) -> None:
+        added = len(following["reward"])
+        if added:
+            rows = TensorDict(now | {"next": following}, [added])
+            self._buffer.extend(rows[-self.capacity :])
+            self._added += min(added, self.capacity)
+
+    def sample(self, size: int, generator: torch.Generator) -> TensorDictBase:
+        """Draw so many transitions with replacement [size]; all chance is the generator's.
+
+        Raises:
+            ValueError: If nothing is stored.
+        """
+        if not len(self):
+            raise ValueError("expected stored transitions to draw from, got none: extend first")
+        return self._rows(torch.randint(len(self), (size,), generator=generator))
+
+    def _rows(self, ages: Tensor) -> TensorDictBase:
+        """Transitions by age, 0 for the oldest."""
+        # Not by place: what is restored stands in other places.
+        oldest = self._added % self.capacity if self._added > self.capacity else 0
+        return self._buffer[(ages + oldest) % len(self)]
+
+    def state(self) -> State:
+        """All transitions, the oldest first."""
+        if not len(self):
+            return {}
+        rows = self._rows(torch.arange(len(self)))
+        state: State = {name: rows.get(name) for name in _NOW}
+        return state | {f"next_{name}": rows.get(("next", name)) for name in _NEXT}
+
+    def load_state(self, state: State) -> None:
+        """Go on from `state`."""
+        self._clear()
+        if state:
+            now = {name: torch.as_tensor(state[name]) for name in _NOW}
+            following = {name: torch.as_tensor(state[f"next_{name}"]) for name in _NEXT}
+            self._store(now, following)
+
+
+def pretrain(
+    network: PopulationNetwork,
+    loss: CandidateTDLoss,
+    memories: Sequence[TransitionMemory],
+    config: LearnerConfig = PRETRAINING,
+    *,
+    steps: int,
+    batch: int,
+    generators: Sequence[torch.Generator],
+) -> Tensor:
+    """Train every network on its arena's stored transitions, before its first tick.
+
+    It costs no sample: newborns begin with what the population has seen (Whiteson & Stone 2006,
+    "Sample-efficient evolutionary function approximation"). All networks of an arena see the same
+    minibatches, drawn by the arena's generator alone, and each bootstraps from its own values; so
+    the result does not depend on what other networks stand beside. Errors are one-step.
+
+    The action of a stored transition is no candidate of another genome. With discrete actions it is
+    the candidate of that number. Continuous ones are learnt from by the value that a
+    `WireFittingLoss` interpolates for them. Recurrent state counts as empty before every
+    transition.
+
+    Args:
+        network: Networks of shape (arenas, robots), changed in place.
+        loss: A loss over that network, with reduction `sum`.
+        memories: One for each arena.
+        config: Learning rate, for the gradient summed over a minibatch, and optimiser.
+        steps: Minibatches.
+        batch: Transitions of a minibatch.
+        generators: One for each arena, on the CPU.
+
+    Returns:
+        Mean squared TD error of each network on the last minibatch [*shape].
+
+    Raises:
+        ValueError: If steps or batch is less than 1, there is not one memory and one generator for
+            each arena, a memory is empty, or a loss by candidate is asked to learn from continuous
+            actions.
+    """
+    arenas = network.shape[0]
+    if steps < 1 or batch < 1:
+        raise ValueError(f"expected at least 1 step and 1 transition, got {steps} and {batch}")
+    if len(memories) != arenas or len(generators) != arenas:
+        raise ValueError(
+            f"expected one memory and one generator for each of {arenas} arenas, got "
+            f"{len(memories)} and {len(generators)}"
+        )
+    if isinstance(loss.value_network.heads, CandidateHeads) and not (
+        isinstance(loss, WireFittingLoss)
+    ):
+        raise ValueError(
+            "a stored continuous action is no candidate of another genome; use a WireFittingLoss"
+        )
+    learner = TDLearner(network, loss, config)
+    learner.reset(torch.ones(network.shape, dtype=torch.bool))
+    error = torch.zeros(network.shape)
+    for _ in range(steps):
+        drawn = [
+            memory.sample(batch, generator)
+            for memory, generator in zip(memories, generators, strict=True)
+        ]
+        error = learner.update(_for_all(network, drawn))
+    return error
+
+
+def _for_all(network: PopulationNetwork, drawn: Sequence[TensorDictBase]) -> TensorDict:
+    """A minibatch [size] of each arena as transitions [arenas, robots, size] of every network."""
+    shape = (*network.shape, len(drawn[0]))
+
+    def spread(name: str | tuple[str, str]) -> Tensor:
+        rows = torch.stack([each.get(name) for each in drawn]).to(network.weight.device)
+        return rows.unsqueeze(1).expand(*shape, rows.shape[-1])
+
+    now = {name: spread(name) for name in _NOW}
+    following = {name: spread(("next", name)) for name in _NEXT}
+    # Every transition is an episode of its own, so that no return goes on into the next row.
+    following["done"] = torch.ones_like(following["terminated"])
+    now["candidate_index"] = now["action"][..., 0].long()
+    now["genome_id"] = network.genome_id[..., None, None].expand(*shape, 1)
+    if network.state_size:
+        now["network_state"] = network.initial_state(shape[-1:])
+        following["network_state"] = network.initial_state(shape[-1:])
+    return TensorDict(now | {"next": following}, shape)
