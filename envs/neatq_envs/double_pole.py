@@ -20,7 +20,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from gymnasium.spaces import Box
 from numba import njit
+
+from neatq_envs.row_env import RowEnv, RowVectorEnv
 
 # Where the long pole starts: the paper says one degree, Stanley's program uses 0.07 rad.
 PAPER_START_RAD, PROGRAM_START_RAD = math.radians(1), 0.07
@@ -128,6 +131,87 @@ def damping_fitness(steps: np.ndarray, wobble: np.ndarray) -> np.ndarray:
     unrest = np.maximum(wobble.sum(axis=1), np.finfo(float).tiny)
     calm = np.where(steps < WOBBLE_STEPS, 0.0, _WOBBLE_SCALE / unrest)
     return 0.1 * steps / _TRIAL_STEPS + 0.9 * calm
+
+
+class DoublePole:
+    """The task of `RowTask`; the state of a row is float64 [6]."""
+
+    def __init__(self, velocities: bool, long_pole_rad: float) -> None:
+        self._velocities, self._long_pole_rad = velocities, long_pole_rad
+        sensed = 6 if velocities else 3
+        self.observation_space = Box(-np.inf, np.inf, shape=(sensed,), dtype=np.float32)
+        self.action_space = Box(-1.0, 1.0, shape=(1,), dtype=np.float32)
+
+    def start(self, rng: np.random.Generator) -> np.ndarray:
+        """Return the start state [6], which is always the same."""
+        return start(1, self._long_pole_rad)[0]
+
+    def step(self, state: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return rewards [rows], 1 for the living, and who has failed [rows]; state is written."""
+        if actions.shape != (len(state), 1) or not np.isfinite(actions).all():
+            raise ValueError(f"actions: expected finite numbers [{len(state)}, 1], got {actions!r}")
+        output = (np.clip(actions[:, 0].astype(np.float64), -1.0, 1.0) + 1) / 2
+        alive = step(state, output)
+        return alive.astype(np.float64), ~alive
+
+    def observe(self, state: np.ndarray) -> np.ndarray:
+        """Return the scaled variables in single precision, [rows, 6] or [rows, 3]."""
+        return observe(state, self._velocities).astype(np.float32)
+
+
+class DoublePoleEnv(RowEnv):
+    """Balance two poles of different length on one cart.
+
+    ## Description
+    The benchmark of Wieland (1991) with the constants of Stanley & Miikkulainen (2002), "Evolving
+    neural networks through augmenting topologies". `neatq/DoublePoleNoVelocities-v0` hides the
+    velocities, so that it takes a memory to balance.
+
+    ## Observation Space
+    `Box`, float32 [6], or [3] without velocities (those marked *):
+
+    | number | variable | is divided by |
+    | --- | --- | --- |
+    | 0 * | place of the cart | 4.8 m |
+    | 1 | velocity of the cart | 2 m/s |
+    | 2 * | angle of the long pole | 0.52 rad |
+    | 3 | its rate | 2 rad/s |
+    | 4 * | angle of the short pole | 0.52 rad |
+    | 5 | its rate | 2 rad/s |
+
+    These are scaled already, as in Stanley's program: about [-1, 1] while the poles are balanced.
+    The space has no bounds, because velocities have none.
+
+    ## Action Space
+    `Box(-1, 1)`, float32 [1]: the force on the cart for the next 0.02 s, times 10 N.
+
+    ## Rewards
+    1 for every action that ends in balance, 0 for the last one if it does not.
+
+    ## Starting State
+    All at rest; the long pole leans by one degree (`long_pole_rad`), the short one is upright.
+    Nothing is random.
+
+    ## Episode End
+    Terminated when the cart is more than 2.4 m from the middle or a pole leans by more than 36
+    degrees; truncated after 100,000 actions (`max_episode_steps`), which counts as solved.
+    """
+
+    def __init__(self, velocities: bool = True, long_pole_rad: float = PAPER_START_RAD) -> None:
+        super().__init__(DoublePole(velocities, long_pole_rad))
+
+
+class DoublePoleVectorEnv(RowVectorEnv):
+    """Many rows of `DoublePoleEnv`."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int | None = None,
+        velocities: bool = True,
+        long_pole_rad: float = PAPER_START_RAD,
+    ) -> None:
+        super().__init__(DoublePole(velocities, long_pole_rad), num_envs, max_episode_steps)
 
 
 @njit(cache=True)
