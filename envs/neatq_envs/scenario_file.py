@@ -4,11 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 from neatq_envs.checks import ScenarioError, is_number, pair, suggestion
-from neatq_envs.scenario import FlagSchedule, Scenario, Spawn
+from neatq_envs.scenario import TASKS, FlagSchedule, Scenario, Spawn, load_scenario
 from neatq_envs.walls import Wall
+
+
+def find_scenario(source: Scenario | Mapping[str, Any] | Path | str, **changes: Any) -> Scenario:
+    """Return the scenario that somebody means, with `changes` that are not None.
+
+    Args:
+        source: a task's name, the path of a JSON file, the content of one, or a scenario.
+        **changes: values of `Scenario`; None leaves the scenario's own.
+
+    Raises:
+        ScenarioError: there is no such task or file, or the scenario cannot be.
+    """
+    scenario = _find(source)
+    return scenario.replaced(**{key: value for key, value in changes.items() if value is not None})
+
+
+def _find(source: Scenario | Mapping[str, Any] | Path | str) -> Scenario:
+    if isinstance(source, Scenario):
+        return source
+    if isinstance(source, Mapping):
+        return Scenario.from_dict(source)
+    if source in TASKS:
+        return TASKS[str(source)]
+    if not Path(source).suffix and not Path(source).exists():
+        raise ScenarioError(
+            f"scenario: expected {', '.join(TASKS)} or the path of a scenario file (.json); got "
+            f"{str(source)!r}"
+        )
+    return load_scenario(source)
 
 
 def parse_scenario(values: Any, defaults: Scenario) -> Scenario:
