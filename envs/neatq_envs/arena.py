@@ -41,26 +41,31 @@ class Arena:
             that were not respawned keep what they sensed at the end of the last tick.
         reward: float64 [arenas, robots], of the last tick, for learning, in [0, 1].
         reward_vector: float64 [arenas, robots, dimensions], of the last tick, for evolution.
-        tick: ticks since the world was made.
+        tick: ticks since all worlds were made, by the constructor or `reset`.
     """
 
     def __init__(self, scenario: Scenario, seeds: Sequence[int]) -> None:
         if not seeds:
             raise ValueError("seeds: expected one for each arena, got none")
         self.scenario = scenario
-        self.seeds = tuple(int(seed) for seed in seeds)
         self._senses, self._rewards = Senses(scenario), Rewards(scenario)
         self.schema = self._senses.schema
         # The bounds are single precision, as the actions of networks are.
         low, high = self.schema.action_bounds(scenario)
         self._bounds = low.astype(np.float64), high.astype(np.float64)
         self._physics = Physics(scenario, len(seeds))
-        self._spawn_generators = [np.random.default_rng([s, _SPAWN_STREAM]) for s in self.seeds]
-        self._flag_generators = [np.random.default_rng([s, _FLAG_STREAM]) for s in self.seeds]
+        self.seeds = tuple(int(seed) for seed in seeds)
+        self._spawn_generators = [_generator(seed, _SPAWN_STREAM) for seed in self.seeds]
+        self._flag_generators = [_generator(seed, _FLAG_STREAM) for seed in self.seeds]
         self._flags = Flags(scenario, self._flag_generators)
         self._spawn_centres = np.array([(spawn.x, spawn.y) for spawn in scenario.spawns])
         self._jitters = np.array([spawn.jitter for spawn in scenario.spawns])
-        self.tick = 0
+        schema, shape = self.schema, self.shape
+        self.tick, self._began = 0, np.zeros(len(seeds), dtype=np.int64)
+        self.age_ticks = np.zeros(shape, dtype=np.int64)
+        self.heading_rad, self.reward = np.zeros(shape), np.zeros(shape)
+        self.reward_vector = np.zeros((*shape, len(REWARD_DIMENSIONS)))
+        self.observation = np.zeros((*shape, len(schema.observations)), dtype=np.float32)
         self.reset()
 
     @property
@@ -87,15 +92,26 @@ class Arena:
     def reset(self) -> None:
         """Make new worlds; random numbers go on where the old worlds left them."""
         self.tick = 0
-        self._flags.update(0)
-        everyone = np.ones(self.shape, dtype=bool)
-        place, self.heading_rad = self._draw_spawns(everyone)
-        self._physics.rebuild(place, np.zeros_like(place))
-        self.age_ticks = np.zeros(self.shape, dtype=np.int64)
-        self.reward = np.zeros(self.shape)
-        self.reward_vector = np.zeros((*self.shape, len(REWARD_DIMENSIONS)))
-        self.distance = flag_distance(self.position, self.flag)
-        self.observation = self._sense()
+        self.renew(np.ones(len(self.seeds), dtype=bool))
+
+    def renew(self, arenas: np.ndarray, seeds: Sequence[int | None] | None = None) -> None:
+        """Make new worlds for some arenas; the others are not touched.
+
+        Args:
+            arenas: bool [arenas], which.
+            seeds: one for each arena, of which those of `arenas` count; where it is None, random
+                numbers go on where the old world left them.
+        """
+        if seeds is not None:
+            self._seed(arenas, seeds)
+        self._began = np.where(arenas, self.tick, self._began)
+        self._flags.begin(arenas)
+        everyone = np.repeat(arenas[:, None], self.scenario.robots, axis=1)
+        drawn, heading_rad = self._draw_spawns(everyone)
+        place = np.where(everyone[..., None], drawn, self._physics.place)
+        velocity = np.where(everyone[..., None], 0.0, self._physics.velocity)
+        self._physics.rebuild(place, velocity, arenas)
+        self._begin_lives(everyone, heading_rad)
 
     def respawn(self, mask: np.ndarray) -> None:
         """Begin new lives for the robots of `mask`, bool [arenas, robots]; the world goes on."""
@@ -108,6 +124,9 @@ class Arena:
             return
         place, heading_rad = self._draw_spawns(mask)
         self._physics.teleport(mask, place)
+        self._begin_lives(mask, heading_rad)
+
+    def _begin_lives(self, mask: np.ndarray, heading_rad: np.ndarray) -> None:
         self.heading_rad = np.where(mask, heading_rad, self.heading_rad)
         self.age_ticks = np.where(mask, 0, self.age_ticks)
         self.reward = np.where(mask, 0.0, self.reward)
@@ -137,7 +156,7 @@ class Arena:
         )
         self.age_ticks = self.age_ticks + 1
         self.tick += 1
-        if self._flags.update(self.tick):
+        if self._flags.update(self.tick - self._began):
             self.distance = flag_distance(self.position, self.flag)
         ignore = actions[..., 3] > IGNORE_ABOVE if actions.shape[-1] > 3 else None
         self.observation = self._senses.sense(self.position, ahead, self.flag, ignore)
@@ -156,6 +175,7 @@ class Arena:
             "scenario": self.scenario.to_dict(),
             "seeds": list(self.seeds),
             "tick": self.tick,
+            "began": self._began.copy(),
             "place": self._physics.place.copy(),
             "velocity": self._physics.velocity.copy(),
             "flag": self.flag.copy(),
@@ -180,12 +200,23 @@ class Arena:
                 f"the state has {len(state['seeds'])} arenas, this has {len(self.seeds)}"
             )
         self.seeds, self.tick = tuple(state["seeds"]), state["tick"]
+        self._began = np.array(state.get("began", np.zeros(len(self.seeds))), dtype=np.int64)
         for name in _ARRAYS:
             setattr(self, name, np.array(state[name], dtype=getattr(self, name).dtype))
         self._flags.place = np.array(state["flag"])
         _restore(self._spawn_generators, state["spawn_generators"])
         _restore(self._flag_generators, state["flag_generators"])
         self._physics.rebuild(np.array(state["place"]), np.array(state["velocity"]))
+
+    def _seed(self, arenas: np.ndarray, seeds: Sequence[int | None]) -> None:
+        """Give arenas the random numbers that they would have if they were made with a seed."""
+        now = list(self.seeds)
+        for arena in np.flatnonzero(arenas).tolist():
+            if (seed := seeds[arena]) is not None:
+                now[arena] = int(seed)
+                self._spawn_generators[arena] = _generator(now[arena], _SPAWN_STREAM)
+                self._flag_generators[arena] = _generator(now[arena], _FLAG_STREAM)
+        self.seeds = tuple(now)
 
     def _sense(self) -> np.ndarray:
         return self._senses.sense(self.position, directions(self.heading_rad), self.flag)
@@ -212,6 +243,8 @@ class Arena:
         place, heading = np.zeros((*self.shape, 2)), np.zeros(self.shape)
         for arena, rng in enumerate(self._spawn_generators):
             robots = np.flatnonzero(mask[arena])
+            if not len(robots):
+                continue
             spawn = robots % len(self._jitters)
             jitter = self._jitters[spawn, None]
             offset = rng.integers(-jitter, np.maximum(jitter, 1), size=(len(robots), 2))
@@ -219,6 +252,10 @@ class Arena:
             heading[arena, robots] = np.radians(rng.integers(0, 360, size=len(robots)))
         heading = np.where(heading > np.pi, heading - 2 * np.pi, heading)
         return place, heading
+
+
+def _generator(seed: int, stream: int) -> np.random.Generator:
+    return np.random.default_rng([seed, stream])
 
 
 def _states(generators: Sequence[np.random.Generator]) -> list[dict[str, Any]]:

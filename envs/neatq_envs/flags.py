@@ -28,18 +28,31 @@ class Flags:
         self._generators = generators
         self.place = np.zeros((len(generators), 2))
 
-    def update(self, tick: int) -> bool:
-        """Put the flags where they stand from `tick` on; return whether they were moved."""
+    def begin(self, arenas: np.ndarray) -> None:
+        """Put the flags of the arenas of a mask, bool [arenas], where they stand at first."""
+        self._put(np.flatnonzero(arenas), np.zeros(len(self.place), dtype=np.int64))
+
+    def update(self, ticks: np.ndarray) -> bool:
+        """Move the flags that are due; return whether any was.
+
+        Args:
+            ticks: since the world of each arena was made, int64 [arenas], greater than 0.
+        """
         interval = self._scenario.flag.interval_ticks
-        if tick and (not interval or tick % interval):
-            return False
-        if self._scenario.flag.ring is not None:
-            self.place = np.array([self._draw(rng) for rng in self._generators])
-        else:
-            positions = self._scenario.flag.positions
-            index = tick // interval % len(positions) if interval else 0
-            self.place = np.tile(np.array(positions[index]), (len(self.place), 1))
-        return True
+        due = np.flatnonzero(ticks % interval == 0) if interval else ()
+        if len(due):
+            self._put(due, ticks // interval)
+        return len(due) > 0
+
+    def _put(self, arenas: Sequence[int] | np.ndarray, moves: np.ndarray) -> None:
+        """Put the flags of some arenas where they stand after `moves` [arenas]."""
+        positions, place = self._scenario.flag.positions, self.place.copy()
+        for arena in arenas:
+            if self._scenario.flag.ring is not None:
+                place[arena] = self._draw(self._generators[arena])
+            else:
+                place[arena] = positions[moves[arena] % len(positions)]
+        self.place = place
 
     def _draw(self, rng: np.random.Generator) -> tuple[float, float]:
         """Draw a place in the ring that is not inside a wall."""

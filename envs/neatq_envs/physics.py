@@ -111,15 +111,22 @@ class Physics:
         self._barriers = barriers(scenario.walls, scenario.width, scenario.height, BORDER_INSET)
         self._hold(np.zeros((arenas, robots, 2)), np.zeros((arenas, robots, 2)))
 
-    def rebuild(self, place: np.ndarray, velocity: np.ndarray) -> None:
-        """Build all Spaces anew from arrays [arenas, robots, 2].
+    def rebuild(
+        self, place: np.ndarray, velocity: np.ndarray, arenas: np.ndarray | None = None
+    ) -> None:
+        """Build Spaces anew from arrays [arenas, robots, 2].
 
         A Space also holds contacts that no array shows. Two runs continue alike from the same
         arrays only if both build their Spaces anew at that moment.
+
+        Args:
+            place: units.
+            velocity: units per tick.
+            arenas: bool [arenas], those to build; the rows of all others must be as they are.
         """
         self._hold(place.copy(), velocity.copy())
-        for arena, rooms in enumerate(self.rooms):
-            for room, block in zip(rooms, self._blocks, strict=True):
+        for arena in range(len(self.rooms)) if arenas is None else np.flatnonzero(arenas):
+            for room, block in zip(self.rooms[arena], self._blocks, strict=True):
                 room.rebuild(place[arena, block], velocity[arena, block])
 
     def move(self, velocity: np.ndarray) -> None:

@@ -20,6 +20,7 @@ from neatq_envs.sensors import SCHEMAS
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}
 SEEDS_BELOW = 2**31
+ONE = np.ones(1, dtype=bool)
 
 Source = Scenario | Mapping[str, Any] | Path | str
 
@@ -27,15 +28,21 @@ Source = Scenario | Mapping[str, Any] | Path | str
 class RobotEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """One robot on its way to the flag.
 
-    `reset(seed=s)` followed by steps gives, bit for bit, what `ArenaEnv(scenario, seed=s)` with
-    one robot gives from its first `reset()` on.
+    ## Description
+    A walled field with a flag and perhaps walls, seen through a few sensors. `reset(seed=s)` makes,
+    bit for bit, the world of `Arena(scenario, [s])` with one robot, and each `reset()` the next
+    one.
 
-    ## Observation and action space
-    Those of one robot of `neatq_envs.torchrl.ArenaEnv`, described there: float32 [12] in [0, 1]
-    and float32 [2] = speed (units per tick), turn (rad per tick); 18 and 4 with sensors
-    "opennero". Alone, a robot is its own only friend: `friend_proximity` is 1 and
-    `friend_direction` 0.5. Actions are in physical units, at most 0.2 rad for a turn: trainers
-    that explore with a standard deviation of 1 want
+    ## Observation Space
+    That of one robot of `neatq_envs.torchrl.ArenaEnv`, described there: float32 [12] in [0, 1];
+    [18] with sensors "opennero". Alone, a robot is its own only friend: `friend_proximity` is 1
+    and `friend_direction` 0.5. `info` holds `distance` to the flag (units) and `pose`,
+    float64 [3] = x, y (units), heading (rad).
+
+    ## Action Space
+    Float32 [2] = speed (units per tick), turn (rad per tick), clipped to the bounds; [4] with
+    sensors "opennero". The units are physical, at most 1 unit and 0.2 rad: trainers that explore
+    with a standard deviation of 1 want
     `gymnasium.wrappers.RescaleAction(env, np.float32(-1), np.float32(1))`.
 
     ## Rewards
@@ -43,14 +50,14 @@ class RobotEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     "progress": 0.5 for standing still, 1 for a full step towards the flag. "published", the
     law of the scenarios, is the squared distance: near the flag it differs by thousandths only.
 
-    ## Episodes
-    Truncated after `lifetime_ticks` (0: never) and never terminated: the value of the last
-    observation counts. `reset(seed=s)` makes a world from the seed, `reset()` makes another one
-    and its random numbers go on. A flag with an interval moves within a world, counted from its
-    reset; one with a ring stands elsewhere in each world.
+    ## Starting State
+    The robot stands at its spawn, moved by a whole number of units in each axis, with a heading
+    of 0 to 359 whole degrees. A flag with an interval moves within an episode; one with a ring
+    stands elsewhere in each.
 
-    `info` holds `distance` to the flag (units) and `pose`, float64 [3] = x, y (units), heading
-    (rad).
+    ## Episode End
+    Truncated after `lifetime_ticks` (0: never) and never terminated, so that the value of the
+    last observation counts.
 
     Args:
         scenario: a task's name, the path of a JSON file, its content, or a scenario. `robots`
@@ -84,12 +91,8 @@ class RobotEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Make a new world: of the seed, or with the random numbers of the last world going on."""
         super().reset(seed=seed)
-        if seed is not None:
-            self._arena = Arena(self.scenario, [seed])
-        elif self._arena is None:
-            self._arena = Arena(self.scenario, draw_seeds(self.np_random, 1))
-        self.arena.reset()
-        return self.arena.observation[0, 0], self._info()
+        self._arena = renewed(self._arena, self.scenario, ONE, [seed], self.np_random)
+        return self._arena.observation[0, 0], self._info()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Let one tick pass; the action is clipped to the bounds."""
@@ -107,36 +110,27 @@ class RobotEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
 
 class RobotVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
-    """Rows of `RobotEnv` that are stepped together; row i with seed s is `RobotEnv` with seed s.
+    """Rows of `RobotEnv`, stepped together as arenas of one `Arena`.
 
-    No life ends early, so all rows end in the same tick and are reset together. `info` has
-    `distance` [rows] and `pose` [rows, 3].
+    Row i, reset with seed s, is bit for bit `RobotEnv` reset with seed s. `info` has `distance`
+    [rows] and `pose` [rows, 3].
+
+    Episodes do not begin by themselves (`AutoresetMode.DISABLED`): reset a finished row with
+    `options={"reset_mask": bool [rows]}`. For other modes, and for pictures, wrap the single
+    environment: `gymnasium.make_vec(..., vectorization_mode="sync")`.
 
     Args:
         num_envs: rows.
         scenario: as in `RobotEnv`.
         reward: likewise.
-        autoreset_mode: NEXT_STEP: the step after the last one of an episode resets and ignores
-            the action, as Gymnasium's own vector environments do; DISABLED: call `reset`.
-        render_mode: None; rows have no picture.
     """
 
     def __init__(
-        self,
-        num_envs: int = 1,
-        scenario: Source = "flag",
-        *,
-        reward: str | None = None,
-        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
+        self, num_envs: int = 1, scenario: Source = "flag", *, reward: str | None = None
     ) -> None:
-        if autoreset_mode not in (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED):
-            raise ValueError(f"autoreset_mode: NEXT_STEP or DISABLED, got {autoreset_mode}")
-        if render_mode is not None:
-            raise ValueError(f"render_mode: rows have no picture, got {render_mode!r}")
+        self.metadata = {"autoreset_mode": AutoresetMode.DISABLED, "render_modes": []}
         self.scenario = find_scenario(scenario, robots=1, reward=reward)
         self.num_envs = num_envs
-        self.metadata = {"autoreset_mode": autoreset_mode, "render_modes": []}
         self.single_observation_space, self.single_action_space = robot_spaces(self.scenario)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -150,53 +144,50 @@ class RobotVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def reset(
         self,
         *,
-        seed: int | Sequence[int] | None = None,  # pyright: ignore[reportIncompatibleMethodOverride]
+        seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Make new worlds for all rows.
+        """Make new worlds.
 
         Args:
-            seed: of row 0, the others count on; or one for each row; None: random numbers go on.
-            options: `reset_mask`, bool [rows], is accepted where it is true for all rows.
+            seed: one for each row; None goes on with the row's random numbers. A number s means
+                s, s + 1, and so on.
+            options: `reset_mask`, bool [rows]: the rows to reset; the others stay as they are.
+                The first reset is of all rows.
+
+        Returns:
+            Observations of all rows, float32 [rows, observations], and information.
         """
-        self._check_mask((options or {}).get("reset_mask"))
-        super().reset(seed=seed if isinstance(seed, int) else None)
-        if seed is not None:
-            self._arena = Arena(self.scenario, self._row_seeds(seed))
-        elif self._arena is None:
-            self._arena = Arena(self.scenario, draw_seeds(self.np_random, self.num_envs))
-        self.arena.reset()
-        return self.arena.observation[:, 0], self._info()
+        seeds, mask = self._row_seeds(seed), self._mask(options)
+        self._arena = renewed(self._arena, self.scenario, mask, seeds, self.np_random)
+        return self._arena.observation[:, 0], self._info()
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Let one tick pass in every row: actions [rows, actions], clipped to the bounds."""
         arena = self.arena
-        over = self.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP and arena.truncated.all()
-        if over:
-            arena.reset()
-        else:
-            arena.step(np.asarray(actions)[:, None])
+        arena.step(np.asarray(actions)[:, None])
         truncated = arena.truncated[:, 0]
         ends = np.zeros_like(truncated), truncated
         return arena.observation[:, 0], arena.reward[:, 0], *ends, self._info()
 
-    def _row_seeds(self, seed: int | Sequence[int]) -> list[int]:
+    def _row_seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
         if isinstance(seed, int | np.integer):
-            return [int(seed) + row for row in range(self.num_envs)]
-        if len(seed) != self.num_envs or any(value is None for value in seed):
-            raise ValueError(
-                f"seed: expected one whole number for each of {self.num_envs} rows, got {seed}"
-            )
-        return [int(value) for value in seed]
+            return range(int(seed), int(seed) + self.num_envs)
+        if len(seed) != self.num_envs:
+            raise ValueError(f"seed: expected one for each of {self.num_envs} rows, got {seed}")
+        return seed
 
-    def _check_mask(self, mask: np.ndarray | None) -> None:
-        if mask is not None and (mask.shape != (self.num_envs,) or not mask.all()):
+    def _mask(self, options: dict[str, Any] | None) -> np.ndarray:
+        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool))
+        if mask.shape != (self.num_envs,) or mask.dtype != bool:
             raise ValueError(
-                "reset_mask: all rows live equally long, so they are reset together: expected "
-                f"true for each of {self.num_envs} rows, got {mask.tolist()}"
+                f"reset_mask: expected bool [{self.num_envs}], got {mask.dtype} {list(mask.shape)}"
             )
+        return mask
 
     def _info(self) -> dict[str, Any]:
         known = np.ones(self.num_envs, dtype=bool)
@@ -211,9 +202,28 @@ def robot_spaces(scenario: Scenario) -> tuple[Box, Box]:
     return Box(0.0, 1.0, (len(schema.observations),), np.float32), Box(low, high, dtype=np.float32)
 
 
-def draw_seeds(rng: np.random.Generator, arenas: int) -> list[int]:
-    """Draw seeds for worlds that nobody gave one."""
-    return rng.integers(SEEDS_BELOW, size=arenas).tolist()
+def renewed(
+    arena: Arena | None,
+    scenario: Scenario,
+    mask: np.ndarray,
+    seeds: Sequence[int | None],
+    rng: np.random.Generator,
+) -> Arena:
+    """Return the arena with new worlds, made first if there is none.
+
+    Args:
+        arena: what earlier resets made.
+        scenario: of the arena.
+        mask: bool [arenas], which worlds are to be new, if there are worlds already.
+        seeds: of each arena; None goes on with its random numbers.
+        rng: draws the seeds of the first worlds that nobody gave one.
+    """
+    if arena is not None:
+        arena.renew(mask, seeds)
+        return arena
+    drawn = rng.integers(SEEDS_BELOW, size=len(seeds)).tolist()
+    pairs = zip(seeds, drawn, strict=True)
+    return Arena(scenario, [other if seed is None else seed for seed, other in pairs])
 
 
 def require_reset(arena: Arena | None) -> Arena:

@@ -18,11 +18,12 @@ except ImportError as error:
 from neatq_envs.arena import Arena
 from neatq_envs.robot import (
     METADATA,
+    ONE,
     Source,
     check_render_mode,
-    draw_seeds,
     picture,
     poses,
+    renewed,
     require_reset,
     robot_spaces,
 )
@@ -37,8 +38,8 @@ Infos = dict[str, dict[str, Any]]
 class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
     """All robots of one arena, each an agent: "robot_0", "robot_1", ...
 
-    `reset(seed=s)` followed by steps gives, bit for bit, what `ArenaEnv(scenario, seed=s)` gives
-    from its first `reset()` on. Spaces, rewards and `infos` of an agent are those of
+    `reset(seed=s)` makes, bit for bit, the world of `Arena(scenario, [s])`, and each `reset()` the
+    next one. Spaces, rewards and `infos` of an agent are those of
     `neatq_envs.robot.RobotEnv`; here friends are sensed. Each agent has a reward of its own.
 
     All lives begin together and are truncated together after `lifetime_ticks` (0: never); none
@@ -85,11 +86,7 @@ class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], Infos]:
         """Make a new world: of the seed, or with the random numbers of the last world going on."""
-        if seed is not None:
-            self._arena = Arena(self.scenario, [seed])
-        elif self._arena is None:
-            self._arena = Arena(self.scenario, draw_seeds(seeding.np_random()[0], 1))
-        self.arena.reset()
+        self._arena = renewed(self._arena, self.scenario, ONE, [seed], seeding.np_random()[0])
         self.agents = list(self.possible_agents)
         return self._by_agent(self.arena.observation[0]), self._infos()
 

@@ -273,3 +273,50 @@ def test_new_worlds_differ_and_start_at_tick_zero() -> None:
     arena.reset()
     assert arena.tick == 0 and (arena.age_ticks == 0).all()
     assert not np.array_equal(arena.position, first)
+
+
+def same(one: Arena, other: Arena, arena: int) -> bool:
+    """Return whether an arena of one world is the only arena of another, bit for bit."""
+    names = ("position", "heading_rad", "age_ticks", "observation", "reward", "distance", "flag")
+    return all(np.array_equal(getattr(one, n)[arena], getattr(other, n)[0]) for n in names)
+
+
+def test_a_renewed_arena_is_that_of_a_new_seed_and_leaves_the_others_alone(
+    to_corner: Drive,
+) -> None:
+    crowd = TASKS["wall"].replaced(
+        robots=30,
+        collide=True,
+        lifetime_ticks=0,
+        spawns=(Spawn(x=60.0, y=60.0),),
+        flag=FlagSchedule(ring=(20.0, 40.0), interval_ticks=7),
+    )
+    both, left = Arena(crowd, [1, 2]), Arena(crowd, [1])
+    for _ in range(100):  # into a heap in the corner, whose contacts must not be inherited
+        both.step(to_corner(both))
+        left.step(to_corner(left))
+    both.renew(np.array([False, True]), [0, 9])
+    assert both.seeds == (1, 9)
+    right = Arena(crowd, [9])
+    for _ in range(100):
+        assert same(both, left, 0) and same(both, right, 1)
+        both.step(to_corner(both))
+        left.step(to_corner(left))
+        right.step(to_corner(right))
+    both.renew(np.array([False, True]))
+    right.reset()
+    assert same(both, left, 0) and same(both, right, 1)
+
+
+def test_a_restored_world_knows_when_it_was_renewed(to_flag: Drive) -> None:
+    scenario = SMALL.replaced(flag=FlagSchedule(ring=(100.0, 200.0), interval_ticks=5))
+    arena, restored = Arena(scenario, [1]), Arena(scenario, [2])
+    for _ in range(3):
+        arena.step(to_flag(arena))
+    arena.renew(np.array([True]))
+    arena.rebuild()
+    restored.load_world_state(arena.world_state())
+    for _ in range(6):
+        arena.step(to_flag(arena))
+        restored.step(to_flag(restored))
+        assert same(arena, restored, 0)

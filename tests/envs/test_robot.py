@@ -35,7 +35,9 @@ def test_it_is_the_arena_of_one_robot_bit_for_bit(task: str, reward: str) -> Non
     scenario = SHORT.replaced(sensors="opennero" if task == "opennero" else "arena")
     env = RobotEnv(scenario, reward=reward)
     arena = ArenaEnv(scenario.replaced(reward=reward), seed=11)
-    (seen, info), data = env.reset(seed=11), arena.reset()
+    first, data = env.reset(seed=11), arena.reset()  # its second world: made with one, reset
+    seen, info = env.reset()
+    assert not np.array_equal(first[1]["pose"], info["pose"])
     acts = env.action_space.shape[0] if env.action_space.shape else 0
     for action in random_actions(1, 20)[:, 0]:
         assert np.array_equal(seen, data[OBSERVATION][0, 0].numpy())
@@ -121,15 +123,25 @@ def test_a_step_before_the_first_reset_says_so(make: Any) -> None:
 
 
 @pytest.mark.parametrize("seed", [21, [4, 9, 2]])
-def test_rows_are_what_gymnasium_makes_of_single_robots(seed: int | list[int]) -> None:
+def test_rows_are_what_gymnasium_makes_of_single_robots(seed: Any) -> None:
     rows = RobotVectorEnv(3, SHORT)
-    plain: Any = SyncVectorEnv([lambda: RobotEnv(SHORT)] * 3)
+    plain: Any = SyncVectorEnv([lambda: RobotEnv(SHORT)] * 3, autoreset_mode=AutoresetMode.DISABLED)
     assert rows.observation_space == plain.observation_space
     assert rows.action_space == plain.action_space
     assert rows.metadata["autoreset_mode"] is plain.metadata["autoreset_mode"]
     assert_equal(rows.reset(seed=seed), plain.reset(seed=seed))
-    for actions in random_actions(3, 20):
-        assert_equal(rows.step(actions), plain.step(actions))
+    for tick, actions in enumerate(random_actions(3, 40)):
+        stepped = rows.step(actions)
+        assert_equal(stepped, plain.step(actions))
+        over = stepped[3].copy()
+        over[1] |= tick in (3, 10)  # a row that is reset before its end
+        if over.any():
+            seeds: Any = [None, tick, None]
+            mine, info = rows.reset(seed=seeds, options={"reset_mask": over})
+            theirs, plain_info = plain.reset(seed=seeds, options={"reset_mask": over})
+            assert mine[over].tolist() == theirs[over].tolist()
+            assert mine[~over].tolist() == stepped[0][~over].tolist()
+            assert np.array_equal(info["pose"][over], plain_info["pose"][over])
     assert_equal(rows.reset(), plain.reset())
 
 
@@ -142,26 +154,12 @@ def assert_equal(mine: Any, plain: Any) -> None:
     assert all(np.array_equal(info[key], plain_info[key]) for key in info)
 
 
-def test_without_autoreset_rows_wait_for_a_reset_of_all() -> None:
-    rows = RobotVectorEnv(2, SHORT, autoreset_mode=AutoresetMode.DISABLED)
-    rows.reset(seed=[5, 6])
-    still = np.zeros((2, 2))
-    assert [rows.step(still)[3].tolist() for _ in range(6)] == [[False] * 2] * 5 + [[True] * 2]
-    everyone, one = np.ones(2, dtype=bool), np.array([True, False])
-    _, info = rows.reset(seed=[8, 5], options={"reset_mask": everyone})
-    assert np.array_equal(info["pose"][1], RobotEnv(SHORT).reset(seed=5)[1]["pose"])
-    assert rows.arena.seeds == (8, 5)
-    with pytest.raises(ValueError, match="reset together"):
-        rows.reset(options={"reset_mask": one})
-
-
-def test_rows_refuse_what_they_cannot_do() -> None:
-    with pytest.raises(ValueError, match="one whole number for each of 2 rows"):
-        RobotVectorEnv(2).reset(seed=[1, 2, 3])
-    with pytest.raises(ValueError, match="NEXT_STEP or DISABLED"):
-        RobotVectorEnv(2, autoreset_mode=AutoresetMode.SAME_STEP)
-    with pytest.raises(ValueError, match="no picture"):
-        RobotVectorEnv(2, render_mode="rgb_array")
+def test_rows_refuse_seeds_and_masks_of_other_rows() -> None:
+    rows = RobotVectorEnv(2)
+    with pytest.raises(ValueError, match="one for each of 2 rows"):
+        rows.reset(seed=[1, 2, 3])
+    with pytest.raises(ValueError, match=r"expected bool \[2\], got bool \[3\]"):
+        rows.reset(options={"reset_mask": np.ones(3, dtype=bool)})
 
 
 def test_what_was_returned_is_not_overwritten_by_later_steps() -> None:
@@ -178,7 +176,6 @@ def test_what_was_returned_is_not_overwritten_by_later_steps() -> None:
 def test_a_row_is_the_arena_of_one_robot() -> None:
     rows, arena = RobotVectorEnv(2, "flag"), Arena(TASKS["flag"].replaced(robots=1), [7])
     rows.reset(seed=6)
-    arena.reset()
     for actions in random_actions(2, 50):
         rows.step(actions)
         arena.step(actions[1:, None])

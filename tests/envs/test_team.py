@@ -37,7 +37,6 @@ def test_pettingzoo_finds_that_a_seed_decides_everything() -> None:
 def test_it_is_the_arena_bit_for_bit() -> None:
     env, arena = TeamEnv(SMALL), Arena(SMALL, [8])
     seen, infos = env.reset(seed=8)
-    arena.reset()
     rng = np.random.default_rng(0)
     assert list(seen) == ["robot_0", "robot_1", "robot_2", "robot_3"]
     for tick in range(1, 7):
