@@ -14,7 +14,8 @@ class Task(NamedTuple):
         name: its id.
         env: "module:class" of the environment of one row.
         vector_env: "module:class" of the environment of many rows.
-        max_episode_steps: when an episode is cut off; None if it ends by itself.
+        max_episode_steps: when an episode is cut off; None if it ends by itself, or if the task
+            cuts it off.
         kwargs: arguments of both classes.
     """
 
@@ -24,6 +25,8 @@ class Task(NamedTuple):
     max_episode_steps: int | None = None
     kwargs: dict[str, object] = {}  # noqa: RUF012  (never written)
 
+
+_ROBOT = "neatq_envs.robot:RobotEnv", "neatq_envs.robot:RobotVectorEnv"
 
 TASKS = [
     Task(
@@ -50,6 +53,14 @@ TASKS = [
         "neatq_envs.server_jobs:ServerJobsEnv",
         "neatq_envs.server_jobs:ServerJobsVectorEnv",
     ),
+    Task("neatq/Flag-v0", *_ROBOT, kwargs={"scenario": "flag", "reward": "progress"}),
+    # Scenario "moving" is one draw of these flags, of which an episode would see but the first.
+    Task(
+        "neatq/Moving-v0",
+        *_ROBOT,
+        kwargs={"scenario": {"name": "moving", "flag": {"ring": [100, 250]}}, "reward": "progress"},
+    ),
+    Task("neatq/Wall-v0", *_ROBOT, kwargs={"scenario": "wall", "reward": "progress"}),
 ]
 
 

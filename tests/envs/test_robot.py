@@ -11,14 +11,17 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from neatq_envs.arena import Arena
 from neatq_envs.checks import ScenarioError
+from neatq_envs.registration import register_all
 from neatq_envs.robot import RobotEnv, RobotVectorEnv, Source
 from neatq_envs.scenario import TASKS, FlagSchedule
 from neatq_envs.torchrl import ACTION, DISTANCE, OBSERVATION, POSE, REWARD, TRUNCATED, ArenaEnv
 
+register_all()
 RING = FlagSchedule(ring=(100.0, 250.0), interval_ticks=4)
 SHORT = TASKS["wall"].replaced(robots=1, lifetime_ticks=6, flag=RING)
 
@@ -117,6 +120,44 @@ def test_a_picture_shows_the_robot_and_the_flag() -> None:
 def test_a_step_before_the_first_reset_says_so(make: Any) -> None:
     with pytest.raises(ResetNeeded, match=r"call reset\(\) first"):
         make().step(np.zeros(2))
+
+
+# ----------------------------------------------------------------------------- by name
+
+IDS = ("neatq/Flag-v0", "neatq/Moving-v0", "neatq/Wall-v0")
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_gymnasium_finds_nothing_wrong(name: str) -> None:
+    env = gymnasium.make(name)
+    check_env(env.unwrapped)
+    robot: Any = env.unwrapped
+    assert robot.scenario.reward == "progress" and robot.scenario.robots == 1
+    assert isinstance(gymnasium.make_vec(name, 3), RobotVectorEnv)
+    text = robot.__doc__
+    sections = ["Description", "Observation Space", "Action Space", "Rewards", "Starting State"]
+    places = [text.find(f"## {section}\n") for section in (*sections, "Episode End")]
+    assert min(places) > 0 and places == sorted(places)
+
+
+def test_arguments_of_make_prevail() -> None:
+    env: Any = gymnasium.make("neatq/Wall-v0", reward="bounded").unwrapped
+    assert env.scenario == TASKS["wall"].replaced(robots=1, reward="bounded")
+
+
+def test_each_moving_episode_has_its_flag_somewhere_else_in_sight() -> None:
+    env: Any = gymnasium.make("neatq/Moving-v0").unwrapped
+    env.reset(seed=5)
+    flags = []
+    for _ in range(20):
+        env.reset()
+        flags.append(env.arena.flag[0])
+    away = np.hypot(*(np.array(flags) - (400.0, 266.67)).T)
+    assert len(np.unique(flags, axis=0)) == 20
+    assert 100 <= away.min() < 140 and 210 < away.max() <= 250
+    env.reset(seed=5)
+    env.reset()
+    assert np.array_equal(env.arena.flag[0], flags[0])
 
 
 # ------------------------------------------------------------------------------- rows
