@@ -30,6 +30,7 @@ def optimal_steps(table: np.ndarray, state: np.ndarray) -> np.ndarray:
     state, steps = state.copy(), np.zeros(len(state), dtype=int)
     while (driving := state[:, 0] < mountain_car.GOAL).any():
         steps += driving
+        assert steps.max() < 500, "the policy does not drive to the goal"
         moved = state.copy()
         mountain_car.step(moved, optimal_actions(table, state))
         state = np.where(driving[:, None], moved, state)
