@@ -1,6 +1,7 @@
 """Who lives and who breeds; numpy only."""
 
 from neatq_torch.evolution.eligibility import interval_ticks, intervals_until
+from neatq_torch.evolution.neat import NEAT, NEATConfig
 from neatq_torch.evolution.reproduction import (
     NEAT_2002,
     OPENNERO,
@@ -14,7 +15,9 @@ from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
 from neatq_torch.evolution.trials import Trials, relative_fitness, z_scores
 
 __all__ = [
+    "NEAT",
     "NEAT_2002",
+    "NEATConfig",
     "OPENNERO",
     "Parent",
     "Replacement",

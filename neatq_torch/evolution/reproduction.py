@@ -62,6 +62,7 @@ NEAT_2002 = ReproductionConfig(
         max_link_weight=None,
         recurrent_link_prob=0.0,
         forward_from_outputs=False,
+        split_old_below=15,
         split_weight_scale=1.0,
         hidden_activation="steep_sigmoid",
     ),
@@ -70,8 +71,9 @@ NEAT_2002 = ReproductionConfig(
 """Stanley & Miikkulainen 2002, section 4.1.
 
 The paper names neither the size of a weight mutation nor a cap: 2.5 and the shares of the two
-crossovers are those of the authors' published code, and weights are not capped. Recurrent
-links are off; a task that needs memory raises `recurrent_link_prob`.
+crossovers are those of the authors' published code, and weights are not capped. Small genomes split
+their old links first, which the paper does not say either but the code does: XOR takes a third less
+evaluations with it. Recurrent links are off; a task that needs memory raises `recurrent_link_prob`.
 """
 
 

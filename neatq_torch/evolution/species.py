@@ -9,7 +9,13 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from neatq_torch.genome import DistanceConfig, Genome, LinkTable, compatibility
+from neatq_torch.genome import (
+    DistanceConfig,
+    Genome,
+    LinkTable,
+    compatibility,
+    first_compatible,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,10 +127,31 @@ class Speciation:
         self._offspring += 1
         if self._offspring % self.config.adjust_every:
             return
+        self.move_threshold()
+        self._reassign(genomes, np.asarray(order, dtype=np.int64))
+
+    def renew(self, genomes: Sequence[Genome], representatives: Sequence[Genome]) -> None:
+        """Sort a whole new generation into species.
+
+        Every genome joins the first species whose representative it is compatible with, or founds
+        one. A species that nobody joins vanishes.
+
+        Args:
+            genomes: [slots] the generation, sorted in the order of its slots.
+            representatives: one for each species, from the generation before.
+        """
+        home = first_compatible(genomes, representatives, self.threshold, self.distance)
+        for species in range(len(self.species), int(home.max()) + 1):
+            self._found(np.flatnonzero(home == species))
+        for index, species in enumerate(self.species):
+            species.members = np.flatnonzero(home == index)
+        self.species = [species for species in self.species if species.members.size]
+
+    def move_threshold(self) -> None:
+        """Move the threshold by one step, up if there are too many species, down if too few."""
         surplus = int(np.sign(len(self.species) - self.config.target))
         moved = self.threshold + surplus * self.config.step
         self.threshold = max(moved, self.config.floor)
-        self._reassign(genomes, np.asarray(order, dtype=np.int64))
 
     def _reassign(self, genomes: Sequence[Genome], order: NDArray[np.int64]) -> None:
         """Move every slot to the first species it is compatible with, one after the other."""

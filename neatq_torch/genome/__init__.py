@@ -6,7 +6,12 @@ from neatq_torch.genome.crossover import (
     multipoint,
     multipoint_average,
 )
-from neatq_torch.genome.distance import DistanceConfig, LinkTable, compatibility
+from neatq_torch.genome.distance import (
+    DistanceConfig,
+    LinkTable,
+    compatibility,
+    first_compatible,
+)
 from neatq_torch.genome.genome import (
     ACTIVATIONS,
     Genome,
@@ -17,7 +22,7 @@ from neatq_torch.genome.genome import (
     save_genome,
 )
 from neatq_torch.genome.graph import node_levels, reaches
-from neatq_torch.genome.initial import initial_genome
+from neatq_torch.genome.initial import initial_genome, layered_genome, random_genome
 from neatq_torch.genome.innovation import InnovationLedger, LinkInnovation, Split
 from neatq_torch.genome.mutation import mutate, mutate_weights
 from neatq_torch.genome.mutation_config import MutationConfig
@@ -39,9 +44,11 @@ __all__ = [
     "add_link",
     "add_node",
     "compatibility",
+    "first_compatible",
     "first_is_fitter",
     "identical",
     "initial_genome",
+    "layered_genome",
     "load_genome",
     "multipoint",
     "multipoint_average",
@@ -49,6 +56,7 @@ __all__ = [
     "mutate_weights",
     "node_levels",
     "pack_genomes",
+    "random_genome",
     "reaches",
     "reenable",
     "save_genome",

@@ -65,6 +65,32 @@ def compatibility(a: Genome, b: Genome, config: DistanceConfig) -> float:
     )
 
 
+def first_compatible(
+    genomes: Sequence[Genome],
+    representatives: Sequence[Genome],
+    threshold: float,
+    config: DistanceConfig,
+) -> NDArray[np.int64]:
+    """Sort genomes, one after the other, into the first group that each is compatible with.
+
+    Args:
+        genomes: those to sort, in this order.
+        representatives: one for each group that exists.
+        threshold: distance from which genomes are not compatible.
+        config: how distances are measured.
+
+    Returns:
+        Group of each genome, int64 [genomes]. A genome that no representative is closer to than the
+        threshold represents a new group, numbered behind the others.
+    """
+    everybody = [*representatives, *genomes]
+    starts = np.cumsum([0, *(genome.link_weight.size for genome in everybody)])
+    innovation = np.concatenate([genome.link_innovation for genome in everybody])
+    weight = np.concatenate([genome.link_weight for genome in everybody])
+    groups = len(representatives)
+    return _sorted(innovation, weight, starts, groups, float(threshold), config.coefficients)
+
+
 class LinkTable:
     """Innovations and weights of a population as rows that compiled code can walk along.
 
@@ -177,6 +203,42 @@ def _distance(
     if normalised and larger >= SMALL_GENOME_LINKS:
         counted = counted / larger
     return counted + weight * gaps / max(matches, 1)
+
+
+@njit(cache=True)
+def _sorted(
+    innovation: Innovations,
+    weight: Weights,
+    starts: Rows,
+    groups: int,
+    threshold: float,
+    coefficients: Coefficients,
+) -> Rows:
+    """Return the group of each genome; the first `groups` are the representatives of theirs."""
+    leader = np.arange(starts.size - 1)
+    group = np.empty(starts.size - 1 - groups, np.int64)
+    first = groups
+    for one in range(group.size):
+        own = slice(starts[first + one], starts[first + one + 1])
+        home = 0
+        while home < groups:
+            rival = slice(starts[leader[home]], starts[leader[home] + 1])
+            apart = _distance(
+                innovation[own],
+                weight[own],
+                innovation[rival],
+                weight[rival],
+                coefficients,
+                threshold,
+            )
+            if apart < threshold:
+                break
+            home += 1
+        if home == groups:
+            leader[home] = first + one
+            groups += 1
+        group[one] = home
+    return group
 
 
 @njit(cache=True)

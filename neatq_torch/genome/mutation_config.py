@@ -35,6 +35,9 @@ class MutationConfig:
             it may, by a wrong comparison in its code.
         new_link_tries: pairs of nodes looked at before a link mutation gives up.
         split_tries: links looked at before a node mutation gives up.
+        split_old_below: a genome with fewer links than this splits the oldest of those that can be
+            split, or with probability 0.3 rather the next one, and so on, so that its first hidden
+            nodes do not form a chain; 0 for the choice by chance in all genomes.
         split_weight_scale: weight behind a new node, as a share of the split link's weight.
         hidden_activation: activation of new nodes.
         toggle_enable_prob: probability that one link is enabled or disabled.
@@ -54,6 +57,7 @@ class MutationConfig:
     forward_from_outputs: bool = True
     new_link_tries: int = 20
     split_tries: int = 20
+    split_old_below: int = 0
     split_weight_scale: float = 0.3
     hidden_activation: str = "sigmoid"
     toggle_enable_prob: float = 0.0
@@ -68,6 +72,8 @@ class MutationConfig:
                 raise ValueError(f"{name} must be a finite number >= 0, not {value}.")
             if name.endswith("_tries") and value < 1:
                 raise ValueError(f"{name} must be at least 1, not {value}.")
+        if self.split_old_below < 0:
+            raise ValueError(f"split_old_below must be >= 0, not {self.split_old_below}.")
         if self.max_link_weight is not None and not self.max_link_weight > 0:
             raise ValueError(
                 f"max_link_weight must be positive, or None for no cap, not {self.max_link_weight}."

@@ -24,14 +24,9 @@ def add_node(
     times `split_weight_scale`. Links of the bias are not split. The genome itself comes back
     if no link is found in `split_tries` tries.
     """
-    if genome.link_innovation.size == 0:
+    chosen = _link_to_split(genome, config, rng)
+    if chosen is None:
         return genome
-    from_bias = genome.node_kind[genome.source_index] == NodeKind.BIAS
-    tries = rng.integers(genome.link_innovation.size, size=config.split_tries)
-    found = tries[(genome.link_enabled & ~from_bias)[tries]]
-    if not found.size:
-        return genome
-    chosen = found[0]
     split = ledger.split(int(genome.link_innovation[chosen]), genome.node_id.tolist())
     weight = np.float32(genome.link_weight[chosen] * config.split_weight_scale)
     activation = activation_index(config.hidden_activation)
@@ -50,6 +45,32 @@ def add_node(
         node_activation=np.append(genome.node_activation, np.uint8(activation)),
         **links,
     )
+
+
+def _link_to_split(
+    genome: Genome, config: MutationConfig, rng: np.random.Generator
+) -> int | None:
+    links = genome.link_innovation.size
+    if links == 0:
+        return None
+    from_bias = genome.node_kind[genome.source_index] == NodeKind.BIAS
+    if links < config.split_old_below:
+        return _old_link(genome, np.flatnonzero(~from_bias), rng)
+    tries = rng.integers(links, size=config.split_tries)
+    found = tries[(genome.link_enabled & ~from_bias)[tries]]
+    return int(found[0]) if found.size else None
+
+
+def _old_link(
+    genome: Genome, links: NDArray[np.intp], rng: np.random.Generator
+) -> int | None:
+    """Return the first enabled one of `links`, or each next one with probability 0.3.
+
+    As in the code of Stanley & Miikkulainen 2002, chance may end at a disabled link: None.
+    """
+    enabled = genome.link_enabled[links]
+    place = int(enabled.argmax()) + int(rng.geometric(0.7)) - 1 if enabled.any() else links.size
+    return int(links[place]) if place < links.size and enabled[place] else None
 
 
 def add_link(

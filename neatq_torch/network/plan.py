@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -134,13 +135,44 @@ class GenomePlan:
 def compile_genome(genome: Genome, evaluation: Evaluation) -> GenomePlan:
     """Put a genome's enabled links and nodes in evaluation order.
 
+    Most genomes of a population differ in weights only, so the plans of the last few thousand
+    structures are kept.
+
     Args:
         genome: A valid genome.
         evaluation: `settle` or `synchronous`.
 
     Returns:
-        Its plan. Disabled links take no part.
+        Its plan, to be read only. Disabled links take no part.
     """
+    return _compile(_Structure(genome), evaluation)
+
+
+class _Structure:
+    """A genome that equals all others of the same plan."""
+
+    def __init__(self, genome: Genome) -> None:
+        self.genome = genome
+        self.key = (
+            genome.node_id.tobytes(),
+            genome.node_kind.tobytes(),
+            genome.node_activation.tobytes(),
+            genome.link_source.tobytes(),
+            genome.link_target.tobytes(),
+            genome.link_enabled.tobytes(),
+            genome.link_recurrent.tobytes(),
+        )
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Structure) and self.key == other.key
+
+
+@lru_cache(4096)
+def _compile(structure: _Structure, evaluation: Evaluation) -> GenomePlan:
+    genome = structure.genome
     kind = genome.node_kind
     sensor = (kind == NodeKind.INPUT) | (kind == NodeKind.BIAS)
     inputs, outputs = len(genome.input_ids), len(genome.output_ids)
