@@ -62,6 +62,20 @@ def test_arms_without_learning_change_no_weight_during_life(arm: Arm) -> None:
     assert all(np.array_equal(a, b) for a, b in zip(before, weights(run), strict=True))
 
 
+@pytest.mark.parametrize("rule", ["td", "wire_fitting"])
+def test_wire_fitting_alone_moves_candidate_actions(rule: str) -> None:
+    config = small("neatq")
+    learning = replace(config.learning, rule=rule, epsilon=0.5)
+    run = build(replace(config, learning=learning))
+    before = weights(run)
+    run.learner.update(next(iter(make_collector(run))))
+    genomes = [genome for population in run.populations for genome in population.genomes]
+    for genome, old, new in zip(genomes, before, weights(run), strict=True):
+        acts = np.isin(genome.link_target, genome.output_ids[: 5 * 2])
+        assert (old[acts] != new[acts]).any() == (rule == "wire_fitting")
+        assert (old[~acts] != new[~acts]).any()
+
+
 @pytest.mark.parametrize("inheritance", ["lamarckian", "darwinian"])
 def test_genes_change_by_exactly_what_was_learnt_or_not_at_all(inheritance: str) -> None:
     config = small("neatq")
