@@ -136,23 +136,12 @@ def pretrain(
             each arena, a memory is empty, or a loss by candidate is asked to learn from continuous
             actions.
     """
-    arenas = network.shape[0]
     if steps < 1 or batch < 1:
         raise ValueError(f"expected at least 1 step and 1 transition, got {steps} and {batch}")
-    if len(memories) != arenas or len(generators) != arenas:
-        raise ValueError(
-            f"expected one memory and one generator for each of {arenas} arenas, got "
-            f"{len(memories)} and {len(generators)}"
-        )
-    if isinstance(loss.value_network.heads, CandidateHeads) and not (
-        isinstance(loss, WireFittingLoss)
-    ):
-        raise ValueError(
-            "a stored continuous action is no candidate of another genome; use a WireFittingLoss"
-        )
+    _check(network.shape[0], loss, memories, generators)
     learner = TDLearner(network, loss, config)
-    learner.reset(torch.ones(network.shape, dtype=torch.bool))
-    error = torch.zeros(network.shape)
+    learner.reset(torch.ones_like(network.genome_id, dtype=torch.bool))
+    error = torch.zeros_like(network.genome_id, dtype=torch.float32)
     for _ in range(steps):
         drawn = [
             memory.sample(batch, generator)
@@ -160,6 +149,24 @@ def pretrain(
         ]
         error = learner.update(_for_all(network, drawn))
     return error
+
+
+def _check(
+    arenas: int,
+    loss: CandidateTDLoss,
+    memories: Sequence[TransitionMemory],
+    generators: Sequence[torch.Generator],
+) -> None:
+    if len(memories) != arenas or len(generators) != arenas:
+        raise ValueError(
+            f"expected one memory and one generator for each of {arenas} arenas, got "
+            f"{len(memories)} and {len(generators)}"
+        )
+    candidates = isinstance(loss.value_network.heads, CandidateHeads)
+    if candidates and not isinstance(loss, WireFittingLoss):
+        raise ValueError(
+            "a stored continuous action is no candidate of another genome; use a WireFittingLoss"
+        )
 
 
 def _for_all(network: PopulationNetwork, drawn: Sequence[TensorDictBase]) -> TensorDict:
