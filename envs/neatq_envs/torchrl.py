@@ -6,29 +6,23 @@ from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
-from torchrl.envs import EnvBase
 
 from neatq_envs.arena import Arena
 from neatq_envs.scenario import REWARD_DIMENSIONS, Scenario
+from neatq_envs.torchrl_steps import ACTION, DONE, REWARD, RowsEnv, single
 
 OBSERVATION = "observation"
-ACTION = "action"
-REWARD = "reward"
 REWARD_VECTOR = "reward_vector"
 DISTANCE = "distance"
 POSE = "pose"
 STEP_COUNT = "step_count"
-DONE = "done"
 TERMINATED = "terminated"
 TRUNCATED = "truncated"
 
-_SEEN = (OBSERVATION, REWARD_VECTOR, DISTANCE, POSE, STEP_COUNT, DONE, TERMINATED, TRUNCATED)
-_OUTDATED = {*_SEEN, REWARD, "next"}
 
-
-class ArenaEnv(EnvBase):
+class ArenaEnv(RowsEnv):
     """Robots that learn to reach a flag, as one TorchRL environment of [arenas, robots] rows.
 
     ## Description
@@ -87,6 +81,8 @@ itself included |
         seed: of arena 0.
     """
 
+    seen = (OBSERVATION, REWARD_VECTOR, DISTANCE, POSE, STEP_COUNT, DONE, TERMINATED, TRUNCATED)
+
     def __init__(self, scenario: Scenario, *, arenas: int = 1, seed: int = 0) -> None:
         super().__init__(device=None, batch_size=torch.Size([arenas, scenario.robots]))
         self.scenario = scenario
@@ -131,9 +127,6 @@ itself included |
         ends = {DONE: done, TERMINATED: done.clone(), TRUNCATED: done.clone()}
         self.full_done_spec = Composite(ends, shape=self.batch_size)
 
-    def _size(self, features: int) -> torch.Size:
-        return torch.Size([*self.batch_size, features])
-
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
         if mask is not None:
@@ -142,52 +135,12 @@ itself included |
             self.arena.reset()
         return self._tensordict(self._observe())
 
-    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        return self._tensordict(self._advance(tensordict))
-
     def _advance(self, tensordict: TensorDictBase) -> dict[str, torch.Tensor]:
         self._restored = False
         self.arena.step(tensordict.get(ACTION).detach().numpy())
         values = self._observe()
-        values[REWARD] = _single(self.arena.reward[..., None])
+        values[REWARD] = single(self.arena.reward[..., None])
         return values
-
-    def step_and_maybe_reset(
-        self, tensordict: TensorDictBase
-    ) -> tuple[TensorDictBase, TensorDictBase]:
-        """Do what `EnvBase.step_and_maybe_reset` does, without looking up which keys go where.
-
-        The next root has all entries of this one but the reward, with what this environment
-        observes brought up to date. Steps that need more than that are left to TorchRL.
-        """
-        if not self._is_plain(tensordict):
-            return super().step_and_maybe_reset(tensordict)
-        values = self._advance(tensordict)
-        root = {key: _carried(value) for key, value in tensordict.items() if key not in _OUTDATED}
-        root.update((key, values[key]) for key in _SEEN)
-        preset = tensordict.get("next", None)
-        if preset is not None:
-            values = {**dict(preset.items()), **values}
-        tensordict.set("next", self._tensordict(values))
-        upcoming = self._tensordict(root)
-        return tensordict, self.maybe_reset(upcoming) if values[DONE].any() else upcoming
-
-    def _is_plain(self, tensordict: TensorDictBase) -> bool:
-        """Return whether a step needs nothing but the ordinary."""
-        return (
-            type(tensordict) is TensorDict
-            and tensordict.batch_size == self.batch_size
-            and tensordict.device is None
-            and not any(tensordict.names)
-            and "_step" not in tensordict
-            and "_reset" not in tensordict
-            and self._post_step_mdp_hooks is None
-            and "_compiled_step_and_maybe_reset" not in self.__dict__
-        )
-
-    def _tensordict(self, values: dict[str, Any]) -> TensorDict:
-        # The public constructor takes eight times as long: it checks what is right by making.
-        return TensorDict._new_unsafe(values, self.batch_size)
 
     def _observe(self) -> dict[str, torch.Tensor]:
         # The arena replaces its arrays and never writes into them: those of the right type are
@@ -199,8 +152,8 @@ itself included |
         truncated = arena.truncated[..., None]
         return {
             OBSERVATION: torch.from_numpy(arena.observation),
-            REWARD_VECTOR: _single(arena.reward_vector),
-            DISTANCE: _single(arena.distance[..., None]),
+            REWARD_VECTOR: single(arena.reward_vector),
+            DISTANCE: single(arena.distance[..., None]),
             POSE: torch.from_numpy(pose),
             STEP_COUNT: torch.from_numpy(arena.age_ticks[..., None]),
             DONE: torch.from_numpy(truncated),
@@ -212,13 +165,3 @@ itself included |
         first = 0 if seed is None else seed
         self.arena = Arena(self.scenario, range(first, first + self.batch_size[0]))
         self._restored = False
-
-
-def _carried(value: Any) -> Any:
-    """Return a tensor itself, and of nested entries a copy that shares the tensors."""
-    return value if isinstance(value, torch.Tensor) else value.copy()
-
-
-def _single(array: np.ndarray) -> torch.Tensor:
-    """Return a tensor of single precision."""
-    return torch.from_numpy(array.astype(np.float32))

@@ -1,0 +1,231 @@
+"""A Gymnasium environment as a task: found by its id, checked, read as numbers.
+
+What networks can read and do is decided here: observations are flat vectors, actions are one of a
+few choices or a point in a box. Everything else is refused with the remedy.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
+
+PREFIX = "gym:"
+MOST_OBSERVATIONS = 512
+"""Beyond this, a network that begins with a link from every input has too many to evolve."""
+
+_EXTRAS = {
+    "box2d": "box2d",
+    "mujoco": "mujoco",
+    "classic_control": "classic-control",
+    "toy_text": "toy-text",
+}
+
+
+class TaskError(ValueError):
+    """A Gymnasium environment cannot be used; the message says why and how to mend it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GymnasiumTask:
+    """Which environment, and how it is made.
+
+    Attributes:
+        id: What `gymnasium.make` takes: "CartPole-v1", or "my_module:MyEnv-v0" for one that
+            `my_module` registers.
+        kwargs: Keyword arguments of `gymnasium.make`, such as `continuous` or
+            `max_episode_steps`.
+    """
+
+    id: str
+    kwargs: Mapping[str, Any] = field(default_factory=dict)
+
+    @staticmethod
+    def parse(task: str, assignments: Sequence[str] = ()) -> GymnasiumTask:
+        """Read "gym:ID" and assignments "name=value".
+
+        A value is read as JSON (`true`, `-5.0`, `"text"`, `null`); what is no JSON is a text.
+
+        Raises:
+            TaskError: If an assignment has no name or no value.
+        """
+        return GymnasiumTask(
+            id=task.removeprefix(PREFIX), kwargs=dict(_assignment(each) for each in assignments)
+        )
+
+    def make(self, **more: Any) -> gymnasium.Env[Any, Any]:
+        """Make the environment.
+
+        Args:
+            more: Further arguments of `gymnasium.make`.
+
+        Raises:
+            TaskError: If there is none with that id, something that it needs is not installed, or
+                it refuses its arguments.
+        """
+        kwargs = {"disable_env_checker": True, **self.kwargs, **more}
+        try:
+            return gymnasium.make(self.id, **kwargs)
+        except gymnasium.error.DependencyNotInstalled as error:
+            raise TaskError(f"task: {self.id} needs {self._missing(error)}") from error
+        except ModuleNotFoundError as error:
+            raise TaskError(
+                f"task: {self.id}: {error}; a module of your own is found if its folder is in "
+                "PYTHONPATH"
+            ) from error
+        except (gymnasium.error.UnregisteredEnv, gymnasium.error.DeprecatedEnv) as error:
+            raise TaskError(f"task: {self._unknown(error)}") from error
+        except Exception as error:
+            raise TaskError(
+                f"task: {self.id} cannot be made with {dict(self.kwargs)}: "
+                f"{type(error).__name__}: {error}; see --env-kwargs"
+            ) from error
+
+    def spec(self) -> EnvSpec:
+        """The entry in Gymnasium's registry; the environment must have been made before."""
+        return gymnasium.spec(self.id.rpartition(":")[2])
+
+    def _missing(self, error: Exception) -> str:
+        entry = str(self.spec().entry_point)
+        for part, extra in _EXTRAS.items():
+            if part in entry:
+                return f'what pip install "gymnasium[{extra}]" brings ({error})'
+        return f"something that is not installed: {error}"
+
+    def _unknown(self, error: Exception) -> str:
+        known = sorted(gymnasium.registry)
+        wanted = self.id.rpartition(":")[2]
+        close = difflib.get_close_matches(wanted, known, n=3, cutoff=0.5)
+        close += [name for name in known if _family(name) == _family(wanted) and name not in close]
+        meant = f"did you mean {' or '.join(close)}? " if close else ""
+        return (
+            f"Gymnasium knows no {self.id!r} ({error}); {meant}all ids: "
+            'python -c "import gymnasium; gymnasium.pprint_registry()"'
+        )
+
+
+def _family(name: str) -> str:
+    return re.sub(r"-v\d+$", "", name).lower()
+
+
+def _assignment(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not name.isidentifier() or not equals:
+        raise TaskError(f"env_kwargs: expected name=value, such as continuous=true; got {text!r}")
+    try:
+        return name, json.loads(
+            {"True": "true", "False": "false", "None": "null"}.get(value, value)
+        )
+    except ValueError:
+        return name, value
+
+
+@dataclass(frozen=True)
+class Interface:
+    """What a network reads and does in an environment.
+
+    Attributes:
+        observation: Its observation space, a Box or Discrete.
+        action: Its action space, a Box or Discrete.
+    """
+
+    observation: spaces.Box | spaces.Discrete
+    action: spaces.Box | spaces.Discrete
+
+    @staticmethod
+    def of(env: Any, name: str) -> Interface:
+        """The interface of an environment.
+
+        Args:
+            env: Has `observation_space` and `action_space`.
+            name: What messages call it.
+
+        Raises:
+            TaskError: If networks cannot read its observations or do its actions.
+        """
+        _check_observations(env.observation_space, name)
+        _check_actions(env.action_space, name)
+        return Interface(env.observation_space, env.action_space)
+
+    @property
+    def inputs(self) -> int:
+        """Numbers that a network reads: entries of a Box, or one for each Discrete value."""
+        if isinstance(self.observation, spaces.Discrete):
+            return int(self.observation.n)
+        return math.prod(self.observation.shape)
+
+    @property
+    def choices(self) -> int | None:
+        """Actions to choose from; None in a box."""
+        return int(self.action.n) if isinstance(self.action, spaces.Discrete) else None
+
+    @property
+    def bounds(self) -> tuple[list[float], list[float]]:
+        """Smallest and largest action, flat; of choices, their number from 0."""
+        if isinstance(self.action, spaces.Discrete):
+            return [0.0], [float(self.action.n) - 1]
+        low, high = self.action.low, self.action.high
+        return low.astype(float).ravel().tolist(), high.astype(float).ravel().tolist()
+
+    def read(self, observation: Any) -> np.ndarray:
+        """An observation as numbers, float64 [inputs], before scaling."""
+        if isinstance(self.observation, spaces.Discrete):
+            place = int(observation) - int(self.observation.start)
+            return np.eye(1, self.inputs, place)[0]
+        return np.asarray(observation, np.float64).reshape(-1)
+
+    def act(self, actions: np.ndarray) -> Any:
+        """The environment's own actions for those of rows [rows, actions], clipped to the bounds.
+
+        A list of numbers, or an array [rows, *shape of the box].
+        """
+        space = self.action
+        if isinstance(space, spaces.Discrete):
+            return (actions[:, 0].astype(np.int64) + int(space.start)).tolist()
+        own = np.clip(actions.reshape(len(actions), *space.shape), space.low, space.high)
+        return own.astype(space.dtype)
+
+
+def _check_observations(space: Any, name: str) -> None:
+    supported = (
+        f"supported are Box of at most {MOST_OBSERVATIONS} numbers and Discrete; wrap it, for "
+        "instance with gymnasium.wrappers.FlattenObservation, and register what you wrapped in a "
+        "module of yours: --task gym:my_module:MyEnv-v0"
+    )
+    if isinstance(space, spaces.Box):
+        if len(space.shape) >= 2 and np.dtype(space.dtype) == np.uint8:
+            raise TaskError(f"task: {name} observes images ({space}); {supported}")
+        size = math.prod(space.shape)
+        if size > MOST_OBSERVATIONS:
+            raise TaskError(f"task: {name} observes {size} numbers ({space.shape}); {supported}")
+        if size:
+            return
+    if isinstance(space, spaces.Discrete) and space.n <= MOST_OBSERVATIONS:
+        return
+    raise TaskError(f"task: {name} observes {space}, which networks cannot read; {supported}")
+
+
+def _check_actions(space: Any, name: str) -> None:
+    if isinstance(space, spaces.Discrete):
+        return
+    supported = "supported are Discrete and Box with finite bounds"
+    if isinstance(space, spaces.Box) and math.prod(space.shape):
+        if np.isfinite(space.low).all() and np.isfinite(space.high).all():
+            return
+        raise TaskError(
+            f"task: {name} has actions without bounds ({space}); {supported}: give it bounds with "
+            "gymnasium.wrappers.TransformAction, and register what you wrapped"
+        )
+    raise TaskError(
+        f"task: {name} has the actions {space}; {supported}; wrap it, and register what you "
+        "wrapped in a module of yours: --task gym:my_module:MyEnv-v0"
+    )
