@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import msgspec
 
@@ -197,7 +197,7 @@ class RunConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values from which `from_dict` makes an equal configuration."""
-        return _plain(self)
+        return to_plain(self)
 
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> RunConfig:
@@ -206,20 +206,33 @@ class RunConfig:
         Raises:
             ConfigError: Naming the field that is missing, of a wrong type or out of range.
         """
-        try:
-            return msgspec.convert(values, RunConfig)
-        except msgspec.ValidationError as error:
-            raise ConfigError(f"configuration: {error}") from error
+        return from_plain(RunConfig, values)
 
 
-def _plain(value: Any) -> Any:
+Config = TypeVar("Config")
+
+
+def to_plain(value: Any) -> Any:
+    """JSON values of a configuration and of all its parts."""
     if is_dataclass(value):
-        return {entry.name: _plain(getattr(value, entry.name)) for entry in fields(value)}
+        return {entry.name: to_plain(getattr(value, entry.name)) for entry in fields(value)}
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: to_plain(item) for key, item in value.items()}
     if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
+        return [to_plain(item) for item in value]
     return value
+
+
+def from_plain(kind: type[Config], values: Mapping[str, Any]) -> Config:
+    """Read what `to_plain` made of a configuration of this kind.
+
+    Raises:
+        ConfigError: Naming the field that is missing, of a wrong type or out of range.
+    """
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"configuration: {error}") from error
 
 
 _FAITHFUL_WORLD = {"sensors": "opennero", "reward": "published"}

@@ -35,7 +35,16 @@ class Row(NamedTuple):
 
     def csv(self) -> str:
         """The row as a line of CSV."""
-        return ",".join(map(_cell, self)) + "\n"
+        return csv_line(self)
+
+
+Line = tuple[int | float | None, ...]
+"""A row: a NamedTuple of numbers. None is an empty cell."""
+
+
+def csv_line(row: Line) -> str:
+    """A row as a line of CSV."""
+    return ",".join(map(_cell, row)) + "\n"
 
 
 HEADER = ",".join(Row._fields) + "\n"

@@ -1,10 +1,7 @@
-"""The folder of a run: what is in it, and how it is written so that nothing is ever half there."""
+"""The folder of a run in the arena."""
 
 from __future__ import annotations
 
-import json
-import shlex
-import zlib
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -14,21 +11,38 @@ from typing import Any
 import numpy as np
 
 from neatq_envs.sensors import SCHEMAS
-from neatq_torch.atomic import write_atomic
-from neatq_torch.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from neatq_torch.genome import save_genome
 from neatq_trainers.build import Run, build
 from neatq_trainers.config import ConfigError, RunConfig
 from neatq_trainers.loggers import RunLogger
 from neatq_trainers.metrics import HEADER, Row
+from neatq_trainers.run_files import (
+    CHAMPION,
+    CHECKPOINT,
+    CONFIG,
+    CURVES,
+    METRICS,
+    RunFiles,
+    RunFolderError,
+    require_run,
+    write_config,
+)
 from neatq_trainers.workers import Snapshot, State
 
-CONFIG, METRICS, CHECKPOINT = "config.json", "metrics.csv", "checkpoint.npz"
-CHAMPION, CURVES, ARENA, ANIMATION = "champion.json", "curves.png", "arena.png", "team.gif"
+ARENA, ANIMATION = "arena.png", "team.gif"
 
-
-class RunFolderError(ConfigError):
-    """A folder cannot be used for a run."""
+__all__ = [
+    "ANIMATION",
+    "ARENA",
+    "CHAMPION",
+    "CHECKPOINT",
+    "CONFIG",
+    "CURVES",
+    "METRICS",
+    "RunFolder",
+    "RunFolderError",
+    "life_ticks",
+]
 
 
 def life_ticks(config: RunConfig) -> int:
@@ -36,34 +50,16 @@ def life_ticks(config: RunConfig) -> int:
     return config.scenario.lifetime_ticks or 1000
 
 
-def _unbegun(path: Path) -> bool:
-    """Whether `path` holds only what `create` wrote: a run that failed before its first tick."""
-    if not path.is_dir() or {entry.name for entry in path.iterdir()} - {CONFIG, METRICS}:
-        return False
-    metrics = path / METRICS
-    return not metrics.exists() or metrics.read_bytes() == HEADER.encode()
-
-
 @dataclass(kw_only=True)
-class RunFolder:
-    """A run on disk.
-
-    `metrics.csv` grows by whole lines; the checkpoint says how long it was, so that a run that
-    goes on first cuts off what came later. All other files are replaced as a whole.
+class RunFolder(RunFiles):
+    """A run in the arena on disk; see `RunFiles`.
 
     Attributes:
-        path: The folder.
-        logger: TorchRL's logger beside the CSV, or nothing.
         track: Poses [robots, ticks, 3] of the latest batches of arena 0, one life of them.
-        metrics_bytes: Length of `metrics.csv`.
-        metrics_crc: CRC-32 of `metrics.csv`.
     """
 
-    path: Path
-    logger: RunLogger
+    header = HEADER
     track: deque[np.ndarray] = field(default_factory=deque)
-    metrics_bytes: int = len(HEADER)
-    metrics_crc: int = zlib.crc32(HEADER.encode())
 
     @staticmethod
     def create(path: Path, config: RunConfig) -> RunFolder:
@@ -73,15 +69,7 @@ class RunFolder:
             RunFolderError: If there is something in it.
             OSError: If it cannot be written.
         """
-        if path.exists() and (not path.is_dir() or any(path.iterdir())) and not _unbegun(path):
-            instead = "choose another --out"
-            if (path / CHECKPOINT).is_file():
-                command = f"neatq resume {shlex.quote(str(path))}"
-                instead += f", or go on with the run in it: {command}"
-            raise RunFolderError(f"{path}: exists and is not empty; {instead}")
-        path.mkdir(parents=True, exist_ok=True)
-        write_atomic(path / CONFIG, json.dumps(config.to_dict(), indent=2) + "\n")
-        write_atomic(path / METRICS, HEADER)
+        RunFolder.claim(path, config.to_dict())
         return RunFolder(path=path, logger=RunLogger(config.logger, path))
 
     @staticmethod
@@ -91,8 +79,7 @@ class RunFolder:
         Raises:
             RunFolderError: If there is no checkpoint in it.
         """
-        if not (path / CHECKPOINT).is_file():
-            raise RunFolderError(f"{path}: no run to go on with; there is no {CHECKPOINT} in it")
+        require_run(path)
         return RunFolder(path=path, logger=RunLogger(None, path))
 
     def load(self, *, ticks: int | None = None) -> tuple[RunConfig, list[State]]:
@@ -118,9 +105,9 @@ class RunFolder:
                     f"ticks: the run in {self.path} has {done} already, got "
                     f"{ticks}; give more, or begin a new run with another --out"
                 )
-        self._cut_metrics(state["metrics_bytes"], state["metrics_crc"])
+        self.cut_metrics(state["metrics_bytes"], state["metrics_crc"])
         if ticks is not None:
-            write_atomic(self.path / CONFIG, json.dumps(config.to_dict(), indent=2) + "\n")
+            write_config(self.path, config.to_dict())
         self.logger = RunLogger(config.logger, self.path)
         self.track = deque([state["track"]] if state["track"].size else [])
         return config, state["runs"]
@@ -134,38 +121,18 @@ class RunFolder:
         return build(config.split(len(state["runs"]))[0], state["runs"][0])
 
     def _read(self) -> tuple[RunConfig, dict[str, Any]]:
-        path = self.path / CONFIG
+        values = self.read_config()
         try:
-            config = RunConfig.from_dict(json.loads(path.read_bytes()))
-        except FileNotFoundError as error:
-            raise CheckpointError(f"{path}: there is no such file") from error
+            config = RunConfig.from_dict(values)
         except ValueError as error:
-            raise CheckpointError(f"{path}: altered or damaged: {error}") from error
-        schema = SCHEMAS[config.scenario.sensors].name
-        state = load_checkpoint(self.path / CHECKPOINT, observation_schema=schema)
+            raise self.damaged_config(error) from error
+        state = self.read_checkpoint(SCHEMAS[config.scenario.sensors].name)
         try:
             made_with = RunConfig.from_dict(state["config"])
         except (KeyError, TypeError, ConfigError) as error:
-            raise CheckpointError(
-                f"{self.path / CHECKPOINT}: not a run of this version of neatq ({error})"
-            ) from error
-        if replace(made_with, ticks=config.ticks) != config:
-            raise CheckpointError(
-                f"{path}: not the configuration that the run was made with; restore the file, or "
-                "begin a new run with another --out"
-            )
+            raise self.other_version(error) from error
+        self.refuse_other_config(replace(made_with, ticks=config.ticks) == config)
         return config, state
-
-    def _cut_metrics(self, length: int, crc: int) -> None:
-        path = self.path / METRICS
-        content = path.read_bytes()[:length] if path.is_file() else b""
-        if len(content) < length or zlib.crc32(content) != crc:
-            raise CheckpointError(
-                f"{path}: altered: its first {length} bytes are not those that it had when the "
-                "checkpoint was made; restore the file, or begin a new run with another --out"
-            )
-        write_atomic(path, content)
-        self.metrics_bytes, self.metrics_crc = length, crc
 
     def record(self, config: RunConfig, poses: np.ndarray, rows: Sequence[Row]) -> None:
         """Add rows to the metrics and poses [robots, ticks, 3] of arena 0 to the track."""
@@ -173,20 +140,7 @@ class RunFolder:
         life = life_ticks(config)
         while sum(poses.shape[1] for poses in self.track) - self.track[0].shape[1] >= life:
             self.track.popleft()
-        if rows:
-            self._append("".join(row.csv() for row in rows).encode())
-            self.logger.log(rows)
-
-    def _append(self, text: bytes) -> None:
-        path = self.path / METRICS
-        try:
-            with path.open("ab") as file:
-                file.write(text)
-        except OSError as error:
-            error.filename = str(path)  # a full disk does not say which file
-            raise
-        self.metrics_bytes += len(text)
-        self.metrics_crc = zlib.crc32(text, self.metrics_crc)
+        self.add_rows(rows)
 
     def latest_track(self, life: int) -> np.ndarray:
         """Poses [robots, ticks, 3] of the latest `life` ticks, float32, or of as many as there are.
@@ -205,13 +159,10 @@ class RunFolder:
             parts: Its arenas as they stand, as the workers have them.
         """
         state = {
-            "config": config.to_dict(),
             "runs": [part.state for part in parts],
-            "metrics_bytes": self.metrics_bytes,
-            "metrics_crc": self.metrics_crc,
             "track": self.latest_track(life_ticks(config)),
         }
         schema = SCHEMAS[config.scenario.sensors].name
-        save_checkpoint(self.path / CHECKPOINT, state, observation_schema=schema)
+        self.save(config.to_dict(), state, observation_schema=schema)
         if parts[0].champion is not None:
             save_genome(parts[0].champion, self.path / CHAMPION)

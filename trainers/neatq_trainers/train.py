@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 from neatq_trainers.config import ConfigError, RunConfig
+from neatq_trainers.interrupt import stop_on_interrupt
 from neatq_trainers.loop import Stride
 from neatq_trainers.metrics import Row
 from neatq_trainers.progress import Progress
@@ -100,27 +99,3 @@ def in_order(came: Sequence[Stride], first_arenas: Sequence[int]) -> list[Row]:
         for row in stride.rows
     ]
     return sorted(numbered, key=lambda row: (row.tick, row.arena))
-
-
-class _Stop:
-    requested = False
-
-
-@contextmanager
-def stop_on_interrupt() -> Iterator[_Stop]:
-    """Turn the first Ctrl-C into a request to stop after the batch; a second one interrupts."""
-    stop = _Stop()
-
-    def request(*_: object) -> None:
-        stop.requested = True
-        signal.signal(signal.SIGINT, previous)
-
-    try:
-        previous = signal.signal(signal.SIGINT, request)
-    except ValueError:  # only the main thread may handle signals
-        yield stop
-        return
-    try:
-        yield stop
-    finally:
-        signal.signal(signal.SIGINT, previous)

@@ -6,23 +6,15 @@ the same, bit for bit.
 
 from __future__ import annotations
 
-import gc
-import multiprocessing
-import os
-import pickle
-import signal
-import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, Protocol
-
-import torch
 
 from neatq_torch.genome import Genome
 from neatq_trainers.build import build
 from neatq_trainers.config import RunConfig
 from neatq_trainers.loop import Stride, strides
+from neatq_trainers.processes import Remote, usable_cores
 
 ARENAS_PER_WORKER = 4
 """A tick of one arena costs nearly as much as a tick of four."""
@@ -89,51 +81,24 @@ class ProcessWorker:
     """Trains in a process of its own."""
 
     def __init__(self, config: RunConfig, state: State | None) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._pipe, far_end = context.Pipe()
-        self._process = context.Process(target=_serve, args=(far_end,), daemon=True)
-        self._process.start()
-        far_end.close()
-        self._send((config, state))
+        self._far = Remote(LocalWorker, config, state)
 
     def begin(self) -> None:
         """Ask for a stride."""
-        self._send("finish")
+        self._far.ask("finish")
 
     def finish(self) -> Stride:
         """Wait for a stride."""
-        return self._receive()
+        return self._far.answer()
 
     def snapshot(self) -> Snapshot:
         """Ask for the state, and wait for it."""
-        self._send("snapshot")
-        return self._receive()
+        self._far.ask("snapshot")
+        return self._far.answer()
 
     def close(self) -> None:
         """End the process."""
-        self._pipe.close()
-        self._process.terminate()
-        self._process.join()
-
-    def _send(self, request: Any) -> None:
-        try:
-            _send(self._pipe, request)
-        except BrokenPipeError:
-            self._receive()  # raises what the process ended with, if it still could say so
-            raise
-
-    def _receive(self) -> Any:
-        try:
-            answer = _receive(self._pipe)
-        except (EOFError, ConnectionResetError) as error:
-            self._process.join()
-            raise RuntimeError(
-                f"a training process ended with exit code {self._process.exitcode}; the last "
-                "checkpoint is intact (out of memory? try fewer --workers)"
-            ) from error
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
+        self._far.close()
 
 
 @contextmanager
@@ -153,34 +118,3 @@ def open_workers(
 def fitting_workers(arenas: int) -> int:
     """How many processes make the most of this machine for so many arenas."""
     return max(1, min(usable_cores(), arenas // ARENAS_PER_WORKER))
-
-
-def usable_cores() -> int:
-    """How many cores this process may use."""
-    affinity = getattr(os, "sched_getaffinity", None)  # not every system has it
-    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
-
-
-def _serve(pipe: Connection) -> None:
-    """Do what the other end of the pipe asks for, until it closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asks
-    torch.set_num_threads(1)
-    try:
-        worker = LocalWorker(*_receive(pipe))
-        gc.freeze()
-        while True:
-            _send(pipe, getattr(worker, _receive(pipe))())
-    except (EOFError, BrokenPipeError, ConnectionResetError):
-        return
-    except Exception as error:
-        error.add_note(traceback.format_exc())
-        _send(pipe, error)
-
-
-def _send(pipe: Connection, message: Any) -> None:
-    # Not `pipe.send`: torch would send tensors as handles of shared memory.
-    pipe.send_bytes(pickle.dumps(message))
-
-
-def _receive(pipe: Connection) -> Any:
-    return pickle.loads(pipe.recv_bytes())
