@@ -195,8 +195,17 @@ class EpisodeRows:
         returns: Float64 [rows, episodes], sums of rewards so far.
     """
 
-    def __init__(self, rows: Rows, name: str) -> None:
-        self._rows, self._name = rows, name
+    def __init__(
+        self, rows: Rows, name: str, label: Callable[[int], str] = "row {}".format
+    ) -> None:
+        """Take rows.
+
+        Args:
+            rows: The environments.
+            name: What messages call the environment.
+            label: What they call a row.
+        """
+        self._rows, self._name, self._label = rows, name, label
 
     def begin(self, seeds: ArrayLike) -> None:
         """Begin the first episode of every row.
@@ -258,6 +267,6 @@ class EpisodeRows:
     def _fail(self, row: int, message: str, cause: Exception | None) -> NoReturn:
         episode, steps = int(self.episode[row]), int(self.step_count[row])
         raise EpisodeError(
-            f"{self._name} failed in row {row}, episode {episode} with seed "
+            f"{self._name}: {self._label(row)} failed in episode {episode} with seed "
             f"{self.seeds[row, episode]}, after {steps} steps: {message}"
         ) from cause

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -76,6 +76,8 @@ class GymnasiumRows(RowsEnv):
         shape: (arenas, rows).
         seeds: The episodes of each arena [arenas, episodes] of the first `begin`. Default: one
             episode, with those of arena i for the seed i.
+        name: What messages call the environment.
+        label: What they call a row, counted over all arenas.
     """
 
     seen = (OBSERVATION, LIVING, EPISODE, STEP_COUNT, DONE, TERMINATED, TRUNCATED)
@@ -89,11 +91,12 @@ class GymnasiumRows(RowsEnv):
         shape: Sequence[int],
         seeds: ArrayLike | None = None,
         name: str = "the environment",
+        label: Callable[[int], str] = "row {}".format,
     ) -> None:
         super().__init__(device=None, batch_size=torch.Size(shape))
         self.interface = interface
         self.scaling = scaling
-        self.episodes = EpisodeRows(rows, name)
+        self.episodes = EpisodeRows(rows, name, label)
         self._make_specs()
         if seeds is None:
             self._set_seed(0)

@@ -1,0 +1,151 @@
+"""The lives of genomes: act, learn, and count what it was worth."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from neatq_envs.gymnasium_rows import make_rows
+from neatq_envs.gymnasium_task import Interface
+from neatq_envs.torchrl_rows import LIVING, GymnasiumRows
+from neatq_torch.genome import unpack_genomes
+from neatq_torch.learning import (
+    CandidateHeads,
+    CandidatePolicy,
+    DiscreteHeads,
+    EpsilonGreedy,
+    TraceLearner,
+)
+from neatq_torch.network import PopulationNetwork
+from neatq_trainers.generational.config import GenerationalConfig
+from neatq_trainers.generational.scout import Surroundings
+
+NOBODY = -1
+"""The genome id of transitions that nobody learns from."""
+
+
+class Lives(NamedTuple):
+    """What genomes live through, and, if they explore, with which chance.
+
+    Attributes:
+        genomes: As `pack_genomes` packs them.
+        seeds: Int64 [lives, episodes], of the starts of their episodes.
+        exploration: Seeds of their exploration, int64 [lives]; None: no exploration, no learning.
+    """
+
+    genomes: dict[str, Any]
+    seeds: np.ndarray
+    exploration: np.ndarray | None
+
+
+class Outcome(NamedTuple):
+    """What came of lives.
+
+    Attributes:
+        returns: Float64 [lives, episodes].
+        steps: Int64 [lives].
+        td_error: Mean squared TD error, float64 [lives]; NaN without learning.
+        weights: Of the links of each genome at the end of its life, float32 [links].
+    """
+
+    returns: np.ndarray
+    steps: np.ndarray
+    td_error: np.ndarray
+    weights: list[np.ndarray]
+
+
+def make_heads(
+    config: GenerationalConfig, interface: Interface, value_range: tuple[float, float]
+) -> CandidateHeads | DiscreteHeads:
+    """How the outputs of a network are read in an environment.
+
+    Without learning outputs rank actions and are no values, so they keep their own range.
+    """
+    learning = config.learning
+    chosen = (0.0, 1.0) if learning.rule == "none" else learning.value_range or value_range
+    if interface.choices is not None:
+        return DiscreteHeads(interface.choices, value_range=chosen)
+    return CandidateHeads(config.network.candidates, *interface.bounds, value_range=chosen)
+
+
+class LifeWorker:
+    """Lets genomes live in environments of its own.
+
+    Args:
+        config: The run.
+        surroundings: What random play has shown.
+    """
+
+    def __init__(self, config: GenerationalConfig, surroundings: Surroundings) -> None:
+        self._config, self._scaling = config, surroundings.scaling
+        self._rows, self.interface = make_rows(config.environment, renewed=surroundings.renewed)
+        self.heads = make_heads(config, self.interface, surroundings.value_range)
+
+    def live(self, lives: Lives) -> Outcome:
+        """Let genomes live, all side by side; no life depends on another."""
+        config = self._config
+        genomes = unpack_genomes(lives.genomes)
+        shape = (len(genomes), 1)  # each has seeds of its own, so each is an arena of one row
+        network = PopulationNetwork(genomes, shape=shape, evaluation=config.network.evaluation)
+        env = GymnasiumRows(
+            self._rows,
+            self.interface,
+            self._scaling,
+            shape=shape,
+            seeds=lives.seeds,
+            name=config.environment.id,
+            label=lambda row: f"genome {genomes[row].genome_id}",
+        )
+        explores = lives.exploration is not None
+        learns = explores and config.learning.rule == "traces"
+        policy = CandidatePolicy(network, self.heads, self._exploration(shape, lives.exploration))
+        learner = TraceLearner(network, self.heads, config.learning.step) if learns else None
+        kind = ExplorationType.RANDOM if explores else ExplorationType.DETERMINISTIC
+        with set_exploration_type(kind):
+            error = self._run(env, policy, learner)
+        steps = env.episodes.steps
+        return Outcome(env.episodes.returns, steps, error / steps, list(network.link_weights()))
+
+    def _run(
+        self, env: GymnasiumRows, policy: CandidatePolicy, learner: TraceLearner | None
+    ) -> np.ndarray:
+        """Until all rows are idle; returns the sum of squared TD errors of each, float64 [rows]."""
+        total = np.full(env.batch_size[0], np.nan if learner is None else 0.0)
+        now = env.reset()
+        while env.episodes.living.any():
+            with torch.no_grad():  # act
+                lived, now = env.step_and_maybe_reset(policy(now))
+            if learner is not None:  # learn
+                total = total + learner.update(own_transitions(lived))[:, 0].double().numpy()
+            ended = lived.get(("next", "done")).squeeze(-1)
+            if ended.any():
+                policy.reset(ended)  # an episode remembers nothing of the one before
+                if learner is not None and self._config.learning.anneal:
+                    learner.learning_rate = self._annealed(env)
+        return total
+
+    def _annealed(self, env: GymnasiumRows) -> Tensor:
+        """The learning rate of each row: the share of its episodes that are still to come."""
+        done = torch.from_numpy(env.episodes.episode / env.episodes.seeds.shape[1])
+        return (self._config.learning.step.learning_rate * (1 - done)).float()
+
+    def _exploration(self, shape: tuple[int, int], seeds: np.ndarray | None) -> EpsilonGreedy:
+        learning = self._config.learning
+        return EpsilonGreedy(
+            shape,
+            seeds=[0] * shape[0] if seeds is None else seeds.tolist(),
+            epsilon=0.0 if seeds is None else learning.epsilon,
+            max_hold_ticks=learning.max_hold_steps,
+        )
+
+
+def own_transitions(lived: TensorDictBase) -> TensorDictBase:
+    """A batch [rows, 1, 1] of one step, in which that of idle rows is nobody's."""
+    batch = lived.unsqueeze(-1)
+    living, genome_id = batch.get(LIVING), batch.get("genome_id")
+    return batch.set("genome_id", genome_id.masked_fill(~living, NOBODY))

@@ -1,0 +1,14 @@
+"""What random numbers are for: each purpose has a stream of its own for every seed."""
+
+TRAINING = 0
+"""Starts of the episodes in which genomes live."""
+EVALUATION = 1
+"""Starts of the episodes that choose the champion."""
+TEST = 2
+"""Starts of the episodes in which the champion is tested after the run."""
+SCOUTING = 3
+"""Random play before the run."""
+EVOLUTION = 4
+"""Founders, mutation, mating."""
+EXPLORATION = 5
+"""Exploration of each genome."""
