@@ -1,0 +1,119 @@
+"""Which Gymnasium environments can be used, and what is said of the others."""
+
+from __future__ import annotations
+
+import builtins
+import re
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from neatq_envs.gymnasium_task import GymnasiumTask, Interface, TaskError
+from neatq_envs.observation_scaling import ObservationScaling
+
+
+def refusal(task: str, *env_kwargs: str) -> str:
+    parsed = GymnasiumTask.parse(task, env_kwargs)
+    with pytest.raises(TaskError) as caught:
+        Interface.of(parsed.make(), parsed.id)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("task", "pattern"),
+    [
+        ("gym:CartPol-v1", r"did you mean CartPole-v1.*pprint_registry"),
+        ("gym:cartpole-v1", r"did you mean CartPole-v1"),
+        ("gym:CartPole-v9", r"did you mean CartPole-v1"),
+        ("gym:LunarLander-v2", r"LunarLander-v3"),
+        ("gym:qqqq", r"knows no 'qqqq'.*pprint_registry"),
+        ("gym:Nothing/CartPole-v1", r"knows no"),
+        ("gym:no_such_module:CartPole-v1", r"No module named 'no_such_module'.*PYTHONPATH"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore")
+def test_an_unknown_id_is_answered_with_close_ones(task: str, pattern: str) -> None:
+    assert re.search(pattern, refusal(task))
+
+
+@pytest.mark.parametrize(
+    ("given", "pattern"),
+    [
+        ("wind=3", r"CartPole-v1 cannot be made with \{'wind': 3\}: TypeError.*--env-kwargs"),
+        ("wind", r"expected name=value, such as continuous=true; got 'wind'"),
+        ("=3", r"expected name=value.*got '=3'"),
+    ],
+)
+def test_bad_arguments_of_the_environment_are_named(given: str, pattern: str) -> None:
+    with pytest.raises(TaskError, match=pattern):
+        GymnasiumTask.parse("gym:CartPole-v1", [given]).make()
+
+
+def test_arguments_are_json_or_else_text() -> None:
+    task = GymnasiumTask.parse("gym:X-v0", ["a=true", "b=-5.5", "c=human", "d=[1, 2]", "e=False"])
+    assert task.kwargs == {"a": True, "b": -5.5, "c": "human", "d": [1, 2], "e": False}
+    assert task.id == "X-v0"
+
+
+def test_a_time_limit_is_an_argument() -> None:
+    env = GymnasiumTask.parse("gym:CartPole-v1", ["max_episode_steps=2"]).make()
+    env.reset(seed=1)
+    assert [env.step(0)[3] for _ in range(2)] == [False, True]
+
+
+def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*_: Any, **__: Any) -> None:
+        raise gymnasium.error.DependencyNotInstalled("Box2D is not installed")
+
+    monkeypatch.setattr(gymnasium, "make", missing)
+    assert 'pip install "gymnasium[box2d]"' in refusal("gym:LunarLander-v3")
+    assert "Box2D is not installed" in refusal("gym:CartPole-v1")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "pattern"),
+    [
+        (["observes=dict"], r"observes Dict.*cannot read.*Box.*FlattenObservation.*my_module:"),
+        (["observes=tuple"], r"observes Tuple"),
+        (["observes=text"], r"observes Text"),
+        (["observes=many"], r"observes MultiDiscrete"),
+        (["observes=image"], r"observes images \(Box\(0, 255, \(8, 8, 3\), uint8\)\)"),
+        (["observes=huge"], r"observes 10000 numbers \(\(100, 100\)\); .* at most 512"),
+        (["acts=endless box"], r"actions without bounds.*TransformAction"),
+        (["acts=many"], r"has the actions MultiDiscrete.*Discrete and Box"),
+        (["acts=binary"], r"has the actions MultiBinary"),
+    ],
+)
+def test_spaces_that_networks_cannot_use_are_named(
+    toy: str, arguments: list[str], pattern: str
+) -> None:
+    assert re.search(pattern, refusal(f"{toy}Spaces-v0", *arguments), re.DOTALL)
+
+
+def test_observations_and_actions_are_numbers(toy: str) -> None:
+    env = GymnasiumTask.parse(f"{toy}Spaces-v0", ["observes=choice", "acts=matrix"]).make()
+    interface = Interface.of(env, "toy")
+    assert (interface.inputs, interface.choices) == (3, None)
+    assert interface.read(6).tolist() == [0, 1, 0]  # the choices are 5, 6 and 7
+    assert interface.bounds == ([-1.0] * 6, [1.0] * 6)
+    own = interface.act(np.array([[0.5, 2, 3, 4, 5, -6]], np.float32))
+    assert own.dtype == np.float32
+    assert own.tolist() == [[[0.5, 1, 1], [1, 1, -1]]]
+    choice = Interface(env.observation_space, env.observation_space)  # type: ignore[arg-type]
+    assert choice.act(np.array([[0.0], [2.0]])) == [5, 7]
+    assert all(type(action) is builtins.int for action in choice.act(np.array([[1.0]])))
+
+
+def test_sane_bounds_scale_and_other_entries_are_standardised() -> None:
+    low, high = [-2, -np.inf, 0, -3e38], [4, np.inf, 1, 3e38]
+    space = spaces.Box(np.array(low, np.float32), np.array(high, np.float32))
+    seen = np.array([[0.0, 5, 0, 7], [0, 9, 0, 7]])
+    scaling = ObservationScaling.fit(space, seen)
+    assert scaling.offset.tolist() == [1, 7, 0.5, 7]
+    assert scaling.scale.tolist() == [3, 2, 0.5, 1]
+    assert scaling(np.array([4.0, 11, 0, 700])).tolist() == [1, 2, -1, 10]
+    again = ObservationScaling.from_dict(scaling.to_dict())
+    assert again(seen).tobytes() == scaling(seen).tobytes()
