@@ -31,8 +31,17 @@ class Walk(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     steps: ClassVar[int] = 0
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
     observation_space = spaces.Box(np.array([-2, -np.inf]), np.array([2, np.inf]), (2,), np.float64)
     action_space = spaces.Box(-1, 1, (1,))
+
+    def __init__(self, render_mode: str | None = None) -> None:
+        self.render_mode = render_mode
+
+    def render(self) -> np.ndarray:
+        picture = np.zeros((200, 400, 3), np.uint8)
+        picture[:, int(np.clip(200 + 90 * self.x, 0, 399))] = 255
+        return picture
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         super().reset(seed=seed)
@@ -75,7 +84,10 @@ class Broken(Walk):
 
     ended: ClassVar[int] = 0
 
-    def __init__(self, how: str = "raise", step: int = 3, after: int = 0) -> None:
+    def __init__(
+        self, how: str = "raise", step: int = 3, after: int = 0, render_mode: str | None = None
+    ) -> None:
+        super().__init__(render_mode)
         self.how, self.break_step, self.after = how, step, after
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:

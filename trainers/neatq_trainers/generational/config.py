@@ -9,16 +9,44 @@ from typing import Any, Literal, get_args
 
 from neatq_envs.gymnasium_task import PREFIX, GymnasiumTask, TaskError
 from neatq_torch.evolution import NEATConfig
+from neatq_torch.genome import ACTIVATIONS
 from neatq_torch.learning import Inheritance, TraceConfig
+from neatq_torch.network import Evaluation
 from neatq_trainers.config import (
     ConfigError,
     LoggerName,
-    NetworkConfig,
     from_plain,
     to_plain,
 )
 
 Arm = Literal["neat", "neatq", "qnetwork"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkConfig:
+    """How a genome's network is made and evaluated.
+
+    Attributes:
+        candidates: Candidate actions in a box; with 1 there is nothing to choose and no Q-value.
+            Without meaning where the environment has a few actions to choose from.
+        evaluation: settle: forward links within one step; synchronous: one propagation a step.
+        activation: Of the outputs of the first genomes. None: sigmoid; but identity where outputs
+            only say which action is best, so that none of them saturates.
+    """
+
+    candidates: int = 5
+    evaluation: Evaluation = "settle"
+    activation: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        if self.candidates < 1:
+            raise ConfigError(f"network.candidates: expected at least 1, got {self.candidates}")
+        if self.activation is not None and self.activation not in ACTIVATIONS:
+            raise ConfigError(
+                f"network.activation: expected one of {', '.join(ACTIVATIONS)}; got "
+                f"{self.activation!r}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +135,7 @@ class GenerationalConfig:
         seed: Of arena 0.
         checkpoint_seconds: Time between two checkpoints. Does not change the run.
         logger: Also log to TorchRL's csv or tensorboard logger.
-        network: How networks are made. `candidates` has a meaning for actions in a box only.
+        network: How networks are made.
         evolution: NEAT. The arm qnetwork takes its founders from here (start, start_hidden).
         learning: What a genome learns.
         evaluation: How the champion is found.
@@ -139,8 +167,6 @@ class GenerationalConfig:
             raise ConfigError(
                 f"checkpoint_seconds: expected at least 0, got {self.checkpoint_seconds}"
             )
-        if self.network.double_activation:
-            raise ConfigError("network.double_activation: only the arena's arms know it")
         if not self.task.removeprefix(PREFIX):
             raise ConfigError("task: expected gym: and an id, such as gym:CartPole-v1")
         self._check_arm()
@@ -190,15 +216,13 @@ class GenerationalConfig:
 
 _ARMS: dict[str, dict[str, Any]] = {
     "neat": {
-        "network": NetworkConfig(candidates=1, activation="steep_sigmoid"),
+        "network": NetworkConfig(candidates=1),
         "learning": NO_LEARNING,
     },
     "neatq": {
-        "network": NetworkConfig(candidates=5),
         "episodes": 10,
     },
     "qnetwork": {
-        "network": NetworkConfig(candidates=5),
         "population": 1,
         "episodes": 50,
         "evolution": NEATConfig(start="layered"),

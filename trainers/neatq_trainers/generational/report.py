@@ -67,9 +67,9 @@ def draw_curves(metrics: Metrics, title: str) -> Figure:
     figure = Figure(figsize=(8, 5.2), layout="tight")
     axes = figure.add_subplot()
     arenas = len(np.unique(metrics["arena"]))
-    _draw_curve(axes, metrics, "champion_return", "tab:blue", "champion (held-out episodes)")
-    _draw_curve(axes, metrics, "best_fitness", "0.45", "best of the generation (its own life)")
     _draw_curve(axes, metrics, "mean_fitness", "tab:green", "mean of the generation")
+    _draw_curve(axes, metrics, "best_fitness", "0.6", "best of the generation, in its own life")
+    _draw_curve(axes, metrics, "champion_return", "tab:blue", "champion, in held-out episodes")
     axes.set_xlabel("episodes lived in an arena")
     axes.set_ylabel("return of an episode")
     axes.set_title(title if arenas == 1 else f"{title}: mean and range of {arenas} arenas")
@@ -83,7 +83,7 @@ def _draw_curve(axes: Axes, metrics: Metrics, name: str, colour: str, label: str
     moments = np.unique(metrics["episodes"])
     values = np.stack([metrics[name][metrics["episodes"] == moment] for moment in moments])
     marker = "o" if len(moments) == 1 else None
-    axes.plot(moments, values.mean(1), color=colour, lw=1.4, label=label, marker=marker)
+    axes.plot(moments, values.mean(1), color=colour, lw=1.6, label=label, marker=marker)
     if values.shape[1] > 1:
         axes.fill_between(moments, values.min(1), values.max(1), color=colour, alpha=0.15, lw=0)
 

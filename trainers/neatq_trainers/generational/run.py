@@ -86,6 +86,8 @@ def begin_run(config: GenerationalConfig, surroundings: Surroundings, interface:
             f"network.candidates: expected at least 2, got {heads.candidates}; with one there is "
             "no Q-value to learn (--learning.rule none goes without)"
         )
+    only_ranks = interface.choices is not None and config.learning.rule == "none"
+    activation = config.network.activation or ("identity" if only_ranks else "sigmoid")
     kind = NEAT if config.evolves else FixedPopulation
     populations: list[Population] = [
         kind.start(
@@ -94,7 +96,7 @@ def begin_run(config: GenerationalConfig, surroundings: Surroundings, interface:
             inputs=interface.inputs,
             outputs=heads.outputs,
             rng=np.random.default_rng([seed, EVOLUTION]),
-            activation=config.network.activation,
+            activation=activation,
             observation_schema=observation_schema(config),
         )
         for seed in config.seeds
