@@ -183,8 +183,9 @@ class WalkRows(VectorEnv[Any, Any, Any]):
 @pytest.fixture
 def fast_walk(toy: str) -> Iterator[str]:
     rows_of(f"{toy}Walk-v0")  # registers it
+    make: Any = WalkRows
     gymnasium.register(
-        "toy/FastWalk-v0", "toy_tasks:Walk", vector_entry_point=WalkRows, max_episode_steps=20
+        "toy/FastWalk-v0", "toy_tasks:Walk", vector_entry_point=make, max_episode_steps=20
     )
     yield "gym:toy/FastWalk-v0"
     del gymnasium.registry["toy/FastWalk-v0"]

@@ -31,7 +31,7 @@ class Walk(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     steps: ClassVar[int] = 0
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
+    metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012
     observation_space = spaces.Box(np.array([-2, -np.inf]), np.array([2, np.inf]), (2,), np.float64)
     action_space = spaces.Box(-1, 1, (1,))
 
@@ -58,7 +58,7 @@ class Walk(gymnasium.Env[np.ndarray, np.ndarray]):
         return np.array([self.x, 3 + 10 * self.x])
 
 
-class Ends(gymnasium.Env[int, int]):
+class Ends(gymnasium.Env[Any, Any]):
     """Reward 1 at every step; after some steps it ends, for good or by time."""
 
     observation_space = spaces.Discrete(2)
@@ -145,5 +145,6 @@ class Spaces(gymnasium.Env[Any, Any]):
 
 LENGTHS = {Walk: 20, Ends: None, Broken: 20, Carrying: 20, Dicing: 20, Spaces: 5}
 for kind, length in LENGTHS.items():
-    gymnasium.register(f"toy/{kind.__name__}-v0", kind, max_episode_steps=length)
-gymnasium.register("toy/Endless-v0", Spaces)
+    entry: Any = kind
+    gymnasium.register(f"toy/{kind.__name__}-v0", entry, max_episode_steps=length)
+gymnasium.register("toy/Endless-v0", "toy_tasks:Spaces")
