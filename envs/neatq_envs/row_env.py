@@ -80,9 +80,9 @@ class RowEnv(gymnasium.Env[np.ndarray, Any]):
 class RowVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """Many rows of a task, stepped by one compiled call.
 
-    Episodes do not begin by themselves (`AutoresetMode.DISABLED`): a finished row must be reset
-    with `options={"reset_mask": bool [rows]}` before the next step, as in `SyncVectorEnv`. For the
-    other modes, wrap the single environment: `make_vec(..., vectorization_mode="sync")`.
+    Episodes do not begin by themselves (`AutoresetMode.DISABLED`): a finished row stands still
+    until it is reset with `options={"reset_mask": bool [rows]}`. For the other modes, wrap the
+    single environment: `make_vec(..., vectorization_mode="sync")`.
     """
 
     def __init__(self, task: RowTask, num_envs: int, max_episode_steps: int | None) -> None:
@@ -97,6 +97,7 @@ class RowVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._state = np.empty(0)
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._finished = np.zeros(num_envs, dtype=bool)
+        self._terminated = np.zeros(num_envs, dtype=bool)
 
     def reset(
         self,
@@ -121,25 +122,31 @@ class RowVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         else:
             for row, state in starts.items():
                 self._state[row] = state
-        self._steps[mask], self._finished[mask] = 0, False
+        self._steps[mask], self._finished[mask], self._terminated[mask] = 0, False, False
         return self._task.observe(self._state), {}
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Return observations, rewards, terminated, truncated, and an empty dictionary."""
-        if self._finished.any():
-            row = int(self._finished.argmax())
-            raise ValueError(
-                f"step: the episode of row {row} is over; reset it first with "
-                "reset(options={'reset_mask': finished})"
-            )
-        reward, terminated = self._task.step(self._state, np.asarray(actions))
-        self._steps += 1
-        limit = self.max_episode_steps
+        """Return observations, rewards, terminated, truncated, and an empty dictionary.
+
+        Finished rows stand still: they have no reward, and their episodes remain over.
+        """
+        running, limit = ~self._finished, self.max_episode_steps
+        reward = np.zeros(self.num_envs)
+        reward[running], self._terminated[running] = self._step_rows(running, np.asarray(actions))
+        self._steps += running
         truncated = self._steps >= limit if limit else np.zeros(self.num_envs, dtype=bool)
-        self._finished = terminated | truncated
-        return self._task.observe(self._state), reward, terminated, truncated, {}
+        self._finished = self._terminated | truncated
+        return self._task.observe(self._state), reward, self._terminated.copy(), truncated, {}
+
+    def _step_rows(self, running: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if running.all():
+            return self._task.step(self._state, actions)
+        state = self._state[running]
+        reward, terminated = self._task.step(state, actions[running])
+        self._state[running] = state
+        return reward, terminated
 
     def _begin(self, row: int, seed: int | None) -> np.ndarray:
         if seed is not None:

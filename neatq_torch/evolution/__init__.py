@@ -17,8 +17,8 @@ from neatq_torch.evolution.trials import Trials, relative_fitness, z_scores
 __all__ = [
     "NEAT",
     "NEAT_2002",
-    "NEATConfig",
     "OPENNERO",
+    "NEATConfig",
     "Parent",
     "Replacement",
     "ReproductionConfig",

@@ -31,9 +31,7 @@ def judged(fitness: ArrayLike, population: int) -> NDArray[np.float64]:
     return fitness
 
 
-def shared_fitness(
-    fitness: NDArray[np.float64], species: Sequence[Species]
-) -> NDArray[np.float64]:
+def shared_fitness(fitness: NDArray[np.float64], species: Sequence[Species]) -> NDArray[np.float64]:
     """Return for each of [species] the sum of fitness / species size over its members.
 
     That is the mean of its members. Where a fitness is negative, all are first lifted by so much

@@ -73,9 +73,7 @@ class NEATConfig:
         if self.elite_members < 0:
             raise ValueError(f"elite_members must be >= 0, not {self.elite_members}.")
         if self.start not in ("minimal", "layered", "random"):
-            raise ValueError(
-                f"start must be 'minimal', 'layered' or 'random', not {self.start!r}."
-            )
+            raise ValueError(f"start must be 'minimal', 'layered' or 'random', not {self.start!r}.")
 
 
 @dataclass
@@ -224,7 +222,9 @@ class NEAT:
     def _note(self, fitness: NDArray[np.float64]) -> None:
         """Bring the records of the population and of all species up to date."""
         self._record.note(float(fitness.max()), self.generation)
-        living = {one.species_id: self._records.get(one.species_id, _Record()) for one in self.species}
+        living = {
+            one.species_id: self._records.get(one.species_id, _Record()) for one in self.species
+        }
         for species in self.species:
             best = float(fitness[species.members[0]])
             living[species.species_id].note(best, self.generation)

@@ -47,9 +47,7 @@ def add_node(
     )
 
 
-def _link_to_split(
-    genome: Genome, config: MutationConfig, rng: np.random.Generator
-) -> int | None:
+def _link_to_split(genome: Genome, config: MutationConfig, rng: np.random.Generator) -> int | None:
     links = genome.link_innovation.size
     if links == 0:
         return None
@@ -61,9 +59,7 @@ def _link_to_split(
     return int(found[0]) if found.size else None
 
 
-def _old_link(
-    genome: Genome, links: NDArray[np.intp], rng: np.random.Generator
-) -> int | None:
+def _old_link(genome: Genome, links: NDArray[np.intp], rng: np.random.Generator) -> int | None:
     """Return the first enabled one of `links`, or each next one with probability 0.3.
 
     As in the code of Stanley & Miikkulainen 2002, chance may end at a disabled link: None.

@@ -170,12 +170,20 @@ def test_cars_can_start_as_in_gymnasium() -> None:
     assert (anywhere[:, 1] != 0).all()
 
 
-def test_a_finished_row_must_be_reset_first() -> None:
-    envs = many("neatq/MountainCar-v0", max_episode_steps=1)
-    envs.reset(seed=0)
-    envs.step(np.ones(ROWS, dtype=int))
-    with pytest.raises(ValueError, match="row 0 is over; reset it first"):
-        envs.step(np.ones(ROWS, dtype=int))
+def test_a_finished_row_stands_still_until_it_is_reset() -> None:
+    envs, alone = many("neatq/MountainCar-v0", max_episode_steps=2), many("neatq/MountainCar-v0")
+    right, mask = np.full(ROWS, 2), np.array([True] + [False] * (ROWS - 1))
+    for each in (envs, alone):
+        each.reset(seed=0)
+        each.step(right)
+        each.step(right)
+    envs.reset(seed=[7] * ROWS, options={"reset_mask": mask})
+    observation, reward, terminated, truncated, _ = envs.step(right)
+    assert reward.tolist() == [-1] + [0] * (ROWS - 1)
+    assert not terminated.any() and truncated.tolist() == [False] + [True] * (ROWS - 1)
+    alone.reset(seed=[7] * ROWS, options={"reset_mask": mask})
+    assert observation[0].tolist() == alone.step(right)[0][0].tolist()
+    assert observation[1:].tolist() != alone.step(right)[0][1:].tolist()
 
 
 def test_wrong_resets_are_refused() -> None:
