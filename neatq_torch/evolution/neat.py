@@ -80,11 +80,11 @@ class NEATConfig:
 class _Record:
     """The best fitness so far, and the generation in which it was reached."""
 
-    best: float = -np.inf
+    best: float | None = None
     generation: int = 0
 
     def note(self, fitness: float, generation: int) -> None:
-        if fitness > self.best:
+        if self.best is None or fitness > self.best:
             self.best, self.generation = fitness, generation
 
 
@@ -138,7 +138,8 @@ class NEAT:
         self.ledger = ledger
         self.speciation = Speciation(config.species, config.reproduction.distance)
         if not config.speciate:
-            self.speciation.threshold = np.inf
+            # Everybody is compatible. Finite, because a state is kept as JSON.
+            self.speciation.threshold = float(np.finfo(np.float64).max)
         self.speciation.renew(self.genomes, [])
         self._next_genome_id = first_genome_id
         self._record = _Record()
@@ -209,46 +210,50 @@ class NEAT:
         fitness = judged(fitness, len(self.genomes))
         for species in self.species:
             species.rank(fitness)
-        self._note(fitness)
-        counts = self._offspring_counts(fitness)
-        best = int(fitness.argmax())
-        genomes = [
-            genome
-            for species, count in zip(self.species, counts.tolist(), strict=True)
-            for genome in self._children(species, count, fitness, best)
-        ]
+        champions = fitness[[species.members[0] for species in self.species]]
+        self._note(champions)
+        counts = self._offspring_counts(shared_fitness(fitness, self.species), champions)
+        genomes: list[Genome] = []
+        for index, species in enumerate(self.species):
+            large = species.members.size > self.config.elite_members
+            keep = large or index == champions.argmax()
+            genomes += self._children(species, int(counts[index]), fitness, keep)
         self._settle(genomes)
 
-    def _note(self, fitness: NDArray[np.float64]) -> None:
-        """Bring the records of the population and of all species up to date."""
-        self._record.note(float(fitness.max()), self.generation)
-        living = {
-            one.species_id: self._records.get(one.species_id, _Record()) for one in self.species
-        }
-        for species in self.species:
-            best = float(fitness[species.members[0]])
-            living[species.species_id].note(best, self.generation)
-        self._records = living
+    def _note(self, champions: NDArray[np.float64]) -> None:
+        """Bring the records of the population and of all [species] up to date."""
+        self._record.note(float(champions.max()), self.generation)
+        records: dict[int, _Record] = {}
+        for species, fitness in zip(self.species, champions.tolist(), strict=True):
+            record = self._records.get(species.species_id, _Record())
+            record.note(fitness, self.generation)
+            records[species.species_id] = record
+        self._records = records
 
-    def _offspring_counts(self, fitness: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return how many genomes of the next generation come from each of [species]."""
-        shares = shared_fitness(fitness, self.species)
+    def _offspring_counts(
+        self, shares: NDArray[np.float64], champions: NDArray[np.float64]
+    ) -> NDArray[np.int64]:
+        """Return how many genomes of the next generation come from each of [species].
+
+        Args:
+            shares: their shared fitness; written.
+            champions: the fitness of their champions.
+        """
         records = [self._records[one.species_id] for one in self.species]
-        patience = self.config.stagnation_generations
-        shares[[self.generation - one.generation >= patience for one in records]] = 0.0
-        waited = self.generation - self._record.generation
-        if waited >= self.config.refocus_generations or not shares.any():
-            shares = self._refocused(fitness)
+        waited = np.array([self.generation - one.generation for one in records])
+        shares[waited >= self.config.stagnation_generations] = 0.0
+        all_waited = self.generation - self._record.generation
+        if all_waited >= self.config.refocus_generations or not shares.any():
+            shares = self._refocused(champions)
         counts = offspring_counts(shares, len(self.genomes))
-        home = int(np.argmax([fitness[one.members[0]] for one in self.species]))
+        home = champions.argmax()
         if not counts[home]:
             counts[counts.argmax()] -= 1
             counts[home] = 1
         return counts
 
-    def _refocused(self, fitness: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _refocused(self, champions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return equal shares for the two best of [species], who are given time again."""
-        champions = np.array([fitness[one.members[0]] for one in self.species])
         best = np.argsort(-champions, kind="stable")[:2]
         self._record.generation = self.generation
         for one in best:
@@ -258,12 +263,10 @@ class NEAT:
         return shares
 
     def _children(
-        self, species: Species, count: int, fitness: NDArray[np.float64], best: int
+        self, species: Species, count: int, fitness: NDArray[np.float64], keep: bool
     ) -> list[Genome]:
-        """Return what comes from a ranked species: its champion, perhaps, and offspring."""
-        champion = int(species.members[0])
-        large = species.members.size > self.config.elite_members
-        children = [self.genomes[champion]] if count and (large or champion == best) else []
+        """Return what comes from a ranked species: its champion, to `keep` it, and offspring."""
+        children = [self.genomes[species.members[0]]] if count and keep else []
         pool = breeders(species.members, self.config.survival_share)
         while len(children) < count:
             children.append(self._child(species, pool, fitness))

@@ -15,6 +15,7 @@ from neatq_torch.genome import (
     LinkTable,
     MutationConfig,
     compatibility,
+    first_compatible,
     initial_genome,
     mutate,
 )
@@ -155,3 +156,22 @@ def test_regrouping_measures_as_compatibility_does(config: DistanceConfig) -> No
 def test_a_negative_coefficient_is_refused() -> None:
     with pytest.raises(ValueError, match="excess must be a finite number >= 0"):
         DistanceConfig(excess=-1.0)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.3, 1.0, 3.0]), st.integers(0, 4))
+def test_genomes_are_sorted_as_by_comparing_one_after_the_other(
+    seed: int, threshold: float, groups: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    config = MutationConfig(add_node_prob=0.3, add_link_prob=0.3)
+    genomes = [initial_genome(2, 1, rng=rng)]
+    ledger = InnovationLedger.for_genomes(genomes)
+    for _ in range(15):
+        genomes.append(mutate(genomes[rng.integers(len(genomes))], config, ledger, rng))
+    leaders, rest = genomes[:groups], genomes[groups:]
+    found = first_compatible(rest, leaders, threshold, PLAIN)
+    for one, group in zip(rest, found.tolist(), strict=True):
+        close = [compatibility(one, leader, PLAIN) < threshold for leader in leaders]
+        assert group == (close.index(True) if any(close) else len(leaders))
+        if group == len(leaders):
+            leaders.append(one)

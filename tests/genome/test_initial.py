@@ -3,7 +3,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from neatq_torch.genome import ACTIVATIONS, GenomeError, identical, initial_genome
+from neatq_torch.genome import (
+    ACTIVATIONS,
+    Genome,
+    GenomeError,
+    InnovationLedger,
+    NodeKind,
+    identical,
+    initial_genome,
+    layered_genome,
+    random_genome,
+)
+
+
+def pairs(genome: Genome) -> set[tuple[int, int]]:
+    return set(zip(genome.link_source.tolist(), genome.link_target.tolist(), strict=True))
 
 
 def test_every_input_and_the_bias_are_linked_to_every_output() -> None:
@@ -51,3 +65,41 @@ def test_impossible_shapes_are_refused() -> None:
         initial_genome(0, 2, rng=np.random.default_rng(0))
     with pytest.raises(GenomeError, match="activation 'sin' is unknown"):
         initial_genome(1, 2, rng=np.random.default_rng(0), activation="sin")
+
+
+def test_a_layered_genome_links_sensors_to_hidden_nodes_and_these_to_outputs() -> None:
+    genome = layered_genome(2, 1, hidden=2, rng=np.random.default_rng(0), activation="tanh")
+    # Inputs 1 and 2, bias 3, output 4, hidden 5 and 6. The bias is linked to the output, too.
+    to_hidden = {(sensor, node) for sensor in (1, 2, 3) for node in (5, 6)}
+    assert pairs(genome) == to_hidden | {(5, 4), (6, 4), (3, 4)}
+    names = [ACTIVATIONS[index] for index in genome.node_activation]
+    assert names == ["identity"] * 3 + ["tanh"] * 3
+    plain = layered_genome(2, 1, hidden=1, rng=np.random.default_rng(0), bias=False)
+    assert pairs(plain) == {(1, 4), (2, 4), (4, 3)}
+
+
+def test_random_genomes_have_30_percent_of_the_links_that_point_forward() -> None:
+    rng = np.random.default_rng(0)
+    genomes = [random_genome(3, 2, hidden=4, rng=rng) for _ in range(2000)]
+    hidden = np.array([(one.node_kind == NodeKind.HIDDEN).sum() for one in genomes])
+    assert np.bincount(hidden)[1:] == pytest.approx([500] * 4, abs=75)
+    # 4 sensors; node h reads the h - 1 hidden nodes before it, outputs read all of them.
+    possible = np.array([sum(4 + i for i in range(h)) + 2 * (4 + h) for h in hidden])
+    links = np.array([one.link_weight.size for one in genomes])
+    assert (links / possible).mean() == pytest.approx(0.3, abs=0.01)
+    assert not any(one.link_recurrent.any() for one in genomes)
+
+
+def test_random_genomes_agree_in_the_numbers_of_links() -> None:
+    rng = np.random.default_rng(0)
+    genomes = [random_genome(3, 1, hidden=5, rng=rng) for _ in range(100)]
+    known: dict[tuple[int, int], int] = {}
+    for genome in genomes:
+        numbers = zip(sorted(pairs(genome)), range(100), strict=False)
+        for pair, _ in numbers:
+            at = (genome.link_source == pair[0]) & (genome.link_target == pair[1])
+            number = int(genome.link_innovation[at][0])
+            assert known.setdefault(pair, number) == number
+    assert len(set(known.values())) == len(known)
+    ledger = InnovationLedger.for_genomes(genomes)
+    assert ledger.link(1, 5, False, 0.0).innovation == known[1, 5]

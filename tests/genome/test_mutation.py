@@ -93,6 +93,30 @@ def test_a_link_of_the_bias_is_never_split(small: Genome) -> None:
     assert add_node(only, PLAIN, ledger, np.random.default_rng(0)) is only
 
 
+def test_a_small_genome_splits_its_oldest_link_or_with_30_percent_each_next_one() -> None:
+    genome = initial_genome(3, 1, rng=np.random.default_rng(0))
+    # Links of inputs 1, 2 and 3 and of the bias; the first is switched off.
+    genome = genome.replaced(link_enabled=[False, True, True, True])
+    config = MutationConfig(split_old_below=5)
+    rng, counts = np.random.default_rng(0), {None: 0, 2: 0, 3: 0}
+    for _ in range(4000):
+        child = add_node(genome, config, InnovationLedger.for_genomes([genome]), rng)
+        split = None if child is genome else int(child.link_source[-2])
+        counts[split] += 1
+    shares = [counts[2] / 4000, counts[3] / 4000, counts[None] / 4000]
+    assert shares == pytest.approx([0.7, 0.3 * 0.7, 0.3 * 0.3], abs=0.02)
+
+
+def test_a_large_genome_splits_any_link() -> None:
+    genome = initial_genome(3, 1, rng=np.random.default_rng(0))
+    config = MutationConfig(split_old_below=4)
+    rng, sources = np.random.default_rng(0), []
+    for _ in range(3000):
+        child = add_node(genome, config, InnovationLedger.for_genomes([genome]), rng)
+        sources.append(int(child.link_source[-2]))
+    assert np.bincount(sources)[1:] == pytest.approx([1000] * 3, abs=90)
+
+
 def test_splitting_a_recurrent_link_keeps_the_delay_in_front_of_the_node(
     make_genome: Callable[..., Genome],
 ) -> None:

@@ -299,3 +299,14 @@ def test_bad_shapes_and_genomes_are_named() -> None:
         network.replace(0, genome.replaced(observation_schema="radar"))
     with pytest.raises(ValueError, match="expected 6 genomes"):
         PopulationNetwork([genome], shape=(2, 3))
+
+
+def test_networks_of_one_structure_keep_their_own_weights() -> None:
+    first = initial_genome(2, 1, rng=np.random.default_rng(0))
+    second = first.with_weights([0.5, -0.5, 0.25])
+    other = second.replaced(link_enabled=[True, False, True])
+    network = PopulationNetwork([first, second, other])
+    observation = torch.tensor([[1.0, 1.0]] * 3)
+    alone = [PopulationNetwork([one])(observation[:1]) for one in (first, second, other)]
+    assert torch.equal(network(observation), torch.cat(alone))
+    assert len({one.item() for one in torch.cat(alone).detach().view(-1)}) == 3

@@ -1,0 +1,142 @@
+"""Networks that balance, and runs of NEAT that count what they took."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from neatq_envs.double_pole import PAPER_START_RAD, damping_fitness, observe, start, step
+from neatq_torch.evolution import NEAT_2002, NEATConfig
+from neatq_torch.genome import Genome, InnovationLedger, initial_genome, mutate
+from neatq_torch.network import PopulationNetwork
+from neatq_trainers.reproduce import double_pole
+from neatq_trainers.reproduce.double_pole import (
+    EXPERIMENTS,
+    PUBLISHED,
+    SETTINGS,
+    Setting,
+    balance,
+    run,
+    solve,
+    table,
+)
+from neatq_trainers.reproduce.experiment import Task
+
+
+def some_genomes(rows: int, inputs: int, recurrent: float = 0.0) -> list[Genome]:
+    rng = np.random.default_rng(1)
+    genomes = [
+        initial_genome(inputs, 1, rng=rng, activation="steep_sigmoid", genome_id=number)
+        for number in range(rows)
+    ]
+    ledger = InnovationLedger.for_genomes(genomes)
+    config = replace(
+        NEAT_2002.mutation, add_node_prob=0.3, add_link_prob=0.4, recurrent_link_prob=recurrent
+    )
+    for _ in range(6):
+        genomes = [mutate(one, config, ledger, rng) for one in genomes]
+    return genomes
+
+
+@torch.no_grad()
+def one_by_one(genome: Genome, limit: int, velocities: bool) -> tuple[int, list[float]]:
+    """Steps that a network alone survives, and how far from rest it was after each."""
+    network = PopulationNetwork([genome], evaluation="synchronous")
+    state, memory = start(1, PAPER_START_RAD), network.initial_state()
+    unrest: list[float] = []
+    for _ in range(limit):
+        seen = torch.from_numpy(observe(state, velocities).astype(np.float32))
+        output, memory = network.step(seen, memory)
+        if not step(state, output[:, 0].numpy().astype(np.float64))[0]:
+            break
+        unrest.append(float(np.abs(state[0, :4]).sum()))
+    return len(unrest), unrest
+
+
+@pytest.mark.parametrize("velocities", [True, False])
+def test_leaving_the_fallen_behind_changes_nothing(velocities: bool) -> None:
+    genomes = some_genomes(40, 6 if velocities else 3, recurrent=0.5)
+    wobble = np.zeros((40, 100))
+    state = start(40, PAPER_START_RAD)
+    steps = balance(genomes, state, 150, velocities=velocities, wobble=wobble)
+    alone = [one_by_one(genome, 150, velocities) for genome in genomes]
+    assert steps.tolist() == [survived for survived, _ in alone]
+    assert len(set(steps.tolist())) > 5
+    unrest = [sum(history[-100:]) for _, history in alone]
+    assert wobble.sum(1) == pytest.approx(unrest)
+
+
+def test_a_limit_ends_what_would_balance_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    def upright(state: np.ndarray, output: np.ndarray) -> np.ndarray:
+        return np.ones(len(state), bool)
+
+    monkeypatch.setattr(double_pole, "step", upright)
+    genomes = some_genomes(3, 6)
+    assert balance(genomes, start(3, PAPER_START_RAD), 25).tolist() == [25] * 3
+
+
+def test_balancing_is_learned_and_the_same_seed_gives_the_same_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(double_pole, "SOLVED_STEPS", 300)
+    first = solve(SETTINGS["full"], 6, generations=20)
+    assert first["solved"]
+    assert 150 * (first["generations"] - 1) < first["evaluations"] <= 150 * first["generations"]
+    assert solve(SETTINGS["full"], 6, generations=20) == first
+
+
+def test_champions_that_live_on_are_not_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulated: list[int] = []
+
+    def counted(genomes: list[Genome], *args: object, **rest: object) -> np.ndarray:
+        simulated.extend(one.genome_id for one in genomes)
+        return np.array([one.genome_id % 7 for one in genomes])
+
+    monkeypatch.setattr(double_pole, "balance", counted)
+    result = solve(Setting(population=20), 0, generations=6)
+    assert not result["solved"]
+    assert len(simulated) == len(set(simulated)) < 20 * 6
+
+
+def test_without_velocities_a_winner_must_balance_long_and_from_200_starts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[tuple[int, int]] = []
+    general = [199, 200]
+
+    def pretend(genomes: list[Genome], state: np.ndarray, limit: int, **rest: object) -> np.ndarray:
+        calls.append((len(genomes), limit))
+        if len(genomes) == 625:
+            return np.where(np.arange(625) < general.pop(0), limit, 3)
+        return np.array([limit if one.genome_id % 20 == 1 else 5 for one in genomes])
+
+    monkeypatch.setattr(double_pole, "balance", pretend)
+    setting = Setting(config=NEATConfig(elite_members=1000), population=19, velocities=False)
+    result = solve(setting, 0, generations=50)
+    assert result["solved"] and result["starts"] == 200
+    assert result["evaluations"] == 19 * result["generations"]
+    # A network that did not generalise is not tested twice, though it is the fittest again.
+    assert calls.count((625, 1000)) == 2 and calls.count((1, 100_000)) == 2
+
+
+def test_fitness_without_velocities_rewards_calm() -> None:
+    calm = damping_fitness(np.array([1000]), np.full((1, 100), 0.01))
+    assert calm.tolist() == pytest.approx([0.1 + 0.9 * 0.75])
+
+
+@pytest.mark.parametrize("arm", list(SETTINGS))
+def test_every_arm_runs(arm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    setting = replace(SETTINGS[arm], population=12)
+    monkeypatch.setitem(SETTINGS, arm, setting)
+    monkeypatch.setattr(double_pole, "GENERATIONS", 2)
+    (result,) = run(Task(arm, (0,), True, tmp_path))
+    assert set(result) == {"solved", "evaluations", "generations", "hidden", "links", "starts"}
+    assert arm in table({arm: [result, result]})
+
+
+def test_every_arm_is_in_an_experiment_and_has_published_figures() -> None:
+    assert {arm for one in EXPERIMENTS for arm in one.arms} == set(SETTINGS) == set(PUBLISHED)
