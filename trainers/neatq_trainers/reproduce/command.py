@@ -8,12 +8,16 @@ from pathlib import Path
 import tyro
 
 from neatq_trainers.config import ConfigError
-from neatq_trainers.reproduce import arena
+from neatq_trainers.reproduce import arena, double_pole, xor
 from neatq_trainers.reproduce.experiment import Experiment
 from neatq_trainers.reproduce.runner import reproduce
 from neatq_trainers.workers import usable_cores
 
-EXPERIMENTS: tuple[Experiment, ...] = (arena.EXPERIMENT,)
+EXPERIMENTS: tuple[Experiment, ...] = (
+    arena.EXPERIMENT,
+    xor.EXPERIMENT,
+    *double_pole.EXPERIMENTS,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
