@@ -66,14 +66,15 @@ NEAT_2002 = ReproductionConfig(
         split_weight_scale=1.0,
         hidden_activation="steep_sigmoid",
     ),
-    crossover=CrossoverConfig(keep_all_genes=False),
+    crossover=CrossoverConfig(keep_all_genes=False, copy_disabled=True),
 )
 """Stanley & Miikkulainen 2002, section 4.1.
 
 The paper names neither the size of a weight mutation nor a cap: 2.5 and the shares of the two
-crossovers are those of the authors' published code, and weights are not capped. Small genomes split
-their old links first, which the paper does not say either but the code does: XOR takes a third less
-evaluations with it. Recurrent links are off; a task that needs memory raises `recurrent_link_prob`.
+crossovers are those of the authors' published code, and weights are not capped. Two more things are
+in the code only: small genomes split their old links first, without which XOR takes a third more
+evaluations, and a gene that is copied disabled stays so. Recurrent links are off; a task that needs
+memory raises `recurrent_link_prob`.
 """
 
 

@@ -48,10 +48,10 @@ class Split:
 
 
 class InnovationLedger:
-    """Gives equal structural mutations equal numbers for the whole run.
+    """Gives equal structural mutations equal numbers, until it is told to `forget` them.
 
-    The list is never cleared, and a link that appears again gets the weight of its first
-    occurrence, as in OpenNERO's rtNEAT. It is part of a run's state.
+    A link that appears again gets the weight of its first occurrence. In OpenNERO's rtNEAT the
+    list is never cleared, in NEAT after every generation. It is part of a run's state.
     """
 
     def __init__(self, next_innovation: int = 1, next_node_id: int = 1) -> None:
@@ -92,6 +92,11 @@ class InnovationLedger:
         self.next_node_id += 1
         splits.append(split)
         return split
+
+    def forget(self) -> None:
+        """Forget all mutations, but no number: the same ones get new numbers from now on."""
+        self._links.clear()
+        self._splits.clear()
 
     def state_dict(self) -> dict[str, Any]:
         """Return the ledger as JSON values."""

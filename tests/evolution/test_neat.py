@@ -266,6 +266,17 @@ def test_learned_weights_are_inherited() -> None:
     assert all(np.array_equal(one.link_weight, learned) for one in population.genomes)
 
 
+@pytest.mark.parametrize(("innovations", "known"), [("generation", 0), ("run", 3)])
+def test_mutations_are_known_for_a_generation_or_for_the_run(innovations: Any, known: int) -> None:
+    population = start(innovations=innovations)
+    next_innovation = population.ledger.next_innovation
+    live(population, 1)
+    assert len(population.ledger.state_dict()["links"]) >= known
+    assert known or not population.ledger.state_dict()["links"]
+    # Numbers are never given twice.
+    assert population.ledger.next_innovation >= next_innovation == 4
+
+
 # ---------------------------------------------------------------------------- ablations
 
 
@@ -340,6 +351,7 @@ def test_fitness_of_another_shape_is_refused() -> None:
         ("start_hidden", 0),
         ("elite_members", -1),
         ("start", "full"),
+        ("innovations", "for ever"),
     ],
 )
 def test_a_bad_setting_is_named(field: str, value: Any) -> None:

@@ -64,7 +64,7 @@ def test_the_preset_of_2002_has_the_values_of_the_paper() -> None:
     assert (mutation.weight_scheme, mutation.split_weight_scale) == ("neat2002", 1.0)
     assert mutation.hidden_activation == "steep_sigmoid"
     assert (NEAT_2002.mutate_only_prob, NEAT_2002.interspecies_mate_prob) == (0.25, 0.001)
-    assert NEAT_2002.crossover == CrossoverConfig(keep_all_genes=False)
+    assert NEAT_2002.crossover == CrossoverConfig(keep_all_genes=False, copy_disabled=True)
 
 
 def test_a_single_parent_has_a_mutated_copy() -> None:

@@ -67,3 +67,13 @@ def test_matching_finds_what_both_have(first: list[int], second: list[int]) -> N
     in_first, in_second = matching(np.array(first, np.int64), np.array(second, np.int64))
     both = sorted(set(first) & set(second))
     assert [first[at] for at in in_first] == [second[at] for at in in_second] == both
+
+
+def test_what_is_forgotten_gets_a_new_number_and_no_number_twice() -> None:
+    ledger = InnovationLedger(10, 5)
+    first, split = ledger.link(1, 4, False, 0.5), ledger.split(1, [])
+    assert ledger.link(1, 4, False, 0.75) == first
+    ledger.forget()
+    again = ledger.link(1, 4, False, 0.75)
+    assert (again.innovation, again.weight) == (13, 0.75)
+    assert ledger.split(1, []).node_id == split.node_id + 1
