@@ -14,6 +14,8 @@ LARGEST = 10.0
 """Scaled observations are clipped to [-LARGEST, LARGEST]."""
 _SANE = 1e4
 """A bound beyond this says nothing of the values that occur."""
+_LEAST_SHARE = 0.2
+"""Of the reach that bounds allow."""
 _STEADY = 1e-6
 """A standard deviation below this is that of a value that never changed."""
 
@@ -39,8 +41,10 @@ class ObservationScaling:
     def fit(cls, space: spaces.Space[Any], seen: ArrayLike) -> Self:
         """Find the scaling of a space.
 
-        Entries of a Box with sane bounds go to [-1, 1] by their bounds; the others get mean 0 and
-        standard deviation 1 over what was seen. The ones and zeros of a Discrete space stay.
+        Entries of a Box with sane bounds are measured from the middle between them, in units of how
+        far they were seen to go, but at least of a fifth of how far they may go: some environments
+        state bounds that nothing ever reaches. Other entries get mean 0 and standard deviation 1
+        over what was seen. The ones and zeros of a Discrete space stay.
 
         Args:
             space: The observation space, Box or Discrete.
@@ -56,7 +60,9 @@ class ObservationScaling:
             offset = np.where(sane, 0, seen.mean(0))
             scale = np.where(spread > _STEADY, spread, 1.0)
             offset[sane] = (low[sane] + high[sane]) / 2
-            scale[sane] = (high[sane] - low[sane]) / 2
+            half = (high[sane] - low[sane]) / 2
+            reach = np.abs(seen[:, sane] - offset[sane]).max(0)
+            scale[sane] = np.clip(reach, half * _LEAST_SHARE, half)
         return cls(offset, scale)
 
     def to_dict(self) -> dict[str, list[float]]:

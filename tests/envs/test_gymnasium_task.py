@@ -108,12 +108,18 @@ def test_observations_and_actions_are_numbers(toy: str) -> None:
 
 
 def test_sane_bounds_scale_and_other_entries_are_standardised() -> None:
-    low, high = [-2, -np.inf, 0, -3e38], [4, np.inf, 1, 3e38]
+    low, high = [-2, -np.inf, 0, -3e38, -10], [4, np.inf, 1, 3e38, 10]
     space = spaces.Box(np.array(low, np.float32), np.array(high, np.float32))
-    seen = np.array([[0.0, 5, 0, 7], [0, 9, 0, 7]])
+    seen = np.array([[-0.5, 5, 0, 7, 1], [2, 9, 0, 7, -1]])
     scaling = ObservationScaling.fit(space, seen)
-    assert scaling.offset.tolist() == [1, 7, 0.5, 7]
-    assert scaling.scale.tolist() == [3, 2, 0.5, 1]
-    assert scaling(np.array([4.0, 11, 0, 700])).tolist() == [1, 2, -1, 10]
+    assert scaling.offset.tolist() == [1, 7, 0.5, 7, 0]
+    # 1.5 is how far the first went from 1; the last went 1, which is less than a fifth of 10.
+    assert scaling.scale.tolist() == [1.5, 2, 0.5, 1, 2]
+    assert scaling(np.array([4.0, 11, 0, 700, -3])).tolist() == [2, 2, -1, 10, -1.5]
     again = ObservationScaling.from_dict(scaling.to_dict())
     assert again(seen).tobytes() == scaling(seen).tobytes()
+
+
+def test_one_hot_observations_are_not_scaled() -> None:
+    scaling = ObservationScaling.fit(spaces.Discrete(3), np.eye(3))
+    assert scaling(np.eye(3)).tolist() == np.eye(3).tolist()

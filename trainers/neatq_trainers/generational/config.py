@@ -144,9 +144,9 @@ class GenerationalConfig:
     task: str = "gym:CartPole-v1"
     env_kwargs: tuple[str, ...] = ()
     arm: Arm = "neat"
-    population: int = 100
+    population: int = 150
     generations: int = 50
-    episodes: int = 3
+    episodes: int = 2
     arenas: int = 1
     seed: int = 0
     checkpoint_seconds: float = 30.0
