@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from neatq_envs.gymnasium_rows import make_rows
 from neatq_envs.gymnasium_task import Interface
 from neatq_envs.torchrl_rows import LIVING, GymnasiumRows
-from neatq_torch.genome import unpack_genomes
+from neatq_torch.genome import Genome, unpack_genomes
 from neatq_torch.learning import (
     CandidateHeads,
     CandidatePolicy,
@@ -87,9 +88,28 @@ class LifeWorker:
         self.heads = make_heads(config, self.interface, surroundings.value_range)
 
     def live(self, lives: Lives) -> Outcome:
-        """Let genomes live, all side by side; no life depends on another."""
+        """Let genomes live, all side by side; no life depends on another.
+
+        Nor does an episode on the one before, where nothing is learnt and nothing left to chance:
+        then they run side by side, too.
+        """
+        genomes, learning = unpack_genomes(lives.genomes), self._config.learning
+        if lives.exploration is not None and (learning.rule != "none" or learning.epsilon):
+            return self._live(genomes, lives.seeds, lives.exploration)
+        shape = lives.seeds.shape
+        repeated = [genome for genome in genomes for _ in range(shape[1])]
+        apart = self._live(repeated, lives.seeds.reshape(-1, 1), None)
+        return Outcome(
+            apart.returns.reshape(shape),
+            apart.steps.reshape(shape).sum(1),
+            apart.td_error[:: shape[1]],
+            apart.weights[:: shape[1]],
+        )
+
+    def _live(
+        self, genomes: Sequence[Genome], seeds: np.ndarray, exploration: np.ndarray | None
+    ) -> Outcome:
         config = self._config
-        genomes = unpack_genomes(lives.genomes)
         shape = (len(genomes), 1)  # each has seeds of its own, so each is an arena of one row
         network = PopulationNetwork(genomes, shape=shape, evaluation=config.network.evaluation)
         env = GymnasiumRows(
@@ -97,16 +117,15 @@ class LifeWorker:
             self.interface,
             self._scaling,
             shape=shape,
-            seeds=lives.seeds,
+            seeds=seeds,
             name=config.environment.id,
             label=lambda row: f"genome {genomes[row].genome_id}",
         )
-        explores = lives.exploration is not None
-        learns = explores and config.learning.rule == "traces"
-        policy = CandidatePolicy(network, self.heads, self._exploration(shape, lives.exploration))
+        learns = exploration is not None and config.learning.rule == "traces"
+        policy = CandidatePolicy(network, self.heads, self._exploration(shape, exploration))
         learner = TraceLearner(network, self.heads, config.learning.step) if learns else None
-        kind = ExplorationType.RANDOM if explores else ExplorationType.DETERMINISTIC
-        with set_exploration_type(kind):
+        chance = ExplorationType.DETERMINISTIC if exploration is None else ExplorationType.RANDOM
+        with set_exploration_type(chance):
             error = self._run(env, policy, learner)
         steps = env.episodes.steps
         return Outcome(env.episodes.returns, steps, error / steps, list(network.link_weights()))

@@ -73,15 +73,13 @@ def _play(
 ) -> np.ndarray:
     """Returns of genomes [arenas][genomes], without exploration and learning.
 
-    Every episode is a life of its own, so that all of them run side by side.
-
     Returns:
         Float64 [arenas, genomes, episodes].
     """
     each = len(genomes[0])
-    starts = _seeds(run, purpose, 0, episodes, each).reshape(-1, 1)
-    repeated = [genome for own in genomes for genome in own for _ in range(episodes)]
-    return team.live(repeated, starts, None).returns.reshape(len(genomes), each, episodes)
+    starts = _seeds(run, purpose, 0, episodes, each)
+    flat = [genome for own in genomes for genome in own]
+    return team.live(flat, starts, None).returns.reshape(len(genomes), each, episodes)
 
 
 def _best(run: Run, evaluated: list[list[Champion]]) -> list[Champion]:
