@@ -83,9 +83,15 @@ def _draw_curve(axes: Axes, metrics: Metrics, name: str, colour: str, label: str
     moments = np.unique(metrics["episodes"])
     values = np.stack([metrics[name][metrics["episodes"] == moment] for moment in moments])
     marker = "o" if len(moments) == 1 else None
-    axes.plot(moments, values.mean(1), color=colour, lw=1.6, label=label, marker=marker)
+    # A champion stays until another one is better.
+    steps = "post" if name == "champion_return" else None
+    style = f"steps-{steps}" if steps else "default"
+    axes.plot(
+        moments, values.mean(1), color=colour, lw=1.6, label=label, marker=marker, drawstyle=style
+    )
     if values.shape[1] > 1:
-        axes.fill_between(moments, values.min(1), values.max(1), color=colour, alpha=0.15, lw=0)
+        low, high = values.min(1), values.max(1)
+        axes.fill_between(moments, low, high, color=colour, alpha=0.15, lw=0, step=steps)
 
 
 def output_names(run: Run, policy: ChampionPolicy) -> list[str]:
