@@ -13,7 +13,7 @@ as in the authors' program. The program's bias has the value 0.5, ours 1.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -79,7 +79,7 @@ class Setting:
         long_pole_rad: where the long pole starts.
     """
 
-    config: NEATConfig = NEATConfig()  # noqa: RUF009 - frozen
+    config: NEATConfig = field(default_factory=NEATConfig)
     population: int = 150
     velocities: bool = True
     long_pole_rad: float = PAPER_START_RAD
