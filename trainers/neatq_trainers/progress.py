@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import sys
 from collections.abc import Sequence
 from typing import Self
@@ -27,7 +28,7 @@ class ProgressBar:
             unit=f" {unit}",
             mininterval=0.5,
             dynamic_ncols=True,
-            disable=not sys.stderr.isatty(),
+            disable=not sys.stderr.isatty() or multiprocessing.parent_process() is not None,
         )
 
     def __enter__(self) -> Self:
