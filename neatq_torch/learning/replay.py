@@ -106,13 +106,15 @@ def pretrain(
     steps: int,
     batch: int,
     generators: Sequence[torch.Generator],
+    memory_of: Sequence[int] | None = None,
 ) -> Tensor:
-    """Train every network on its arena's stored transitions, before its first tick.
+    """Train every network on stored transitions of its arena, before its first tick.
 
     It costs no sample: newborns begin with what the population has seen (Whiteson & Stone 2006,
-    "Sample-efficient evolutionary function approximation"). All networks of an arena see the same
-    minibatches, drawn by the arena's generator alone, and each bootstraps from its own values; so
-    the result does not depend on what other networks stand beside. Errors are one-step.
+    "Sample-efficient evolutionary function approximation"). All networks that learn from a memory see
+    the same minibatches, drawn once by the memory's generator alone, and each bootstraps from its
+    own values; so the result does not depend on what other networks stand beside. Errors are
+    one-step.
 
     The action of a stored transition is no candidate of another genome. With discrete actions it is
     the candidate of that number. Continuous ones are learnt from by the value that a
@@ -122,23 +124,26 @@ def pretrain(
     Args:
         network: Networks of shape (arenas, robots), changed in place.
         loss: A loss over that network, with reduction `sum`.
-        memories: One for each arena.
+        memories: One for each arena; or any, if `memory_of` says who learns from which.
         config: Learning rate, for the gradient summed over a minibatch, and optimiser.
         steps: Minibatches.
         batch: Transitions of a minibatch.
-        generators: One for each arena, on the CPU.
+        generators: One for each memory, on the CPU.
+        memory_of: The place in `memories` from which the robots of each arena learn [arenas].
+            None: each arena has its own.
 
     Returns:
         Mean squared TD error of each network on the last minibatch [*shape].
 
     Raises:
-        ValueError: If steps or batch is less than 1, there is not one memory and one generator for
-            each arena, a memory is empty, or a loss by candidate is asked to learn from continuous
-            actions.
+        ValueError: If steps or batch is less than 1, there is not one memory for each arena and one
+            generator for each memory, a memory is empty, or a loss by candidate is asked to learn
+            from continuous actions.
     """
     if steps < 1 or batch < 1:
         raise ValueError(f"expected at least 1 step and 1 transition, got {steps} and {batch}")
-    _check(network.shape[0], loss, memories, generators)
+    rows = list(range(len(memories)) if memory_of is None else memory_of)
+    _check(network.shape[0], loss, memories, generators, rows)
     learner = TDLearner(network, loss, config)
     learner.reset(torch.ones_like(network.genome_id, dtype=torch.bool))
     error = torch.zeros_like(network.genome_id, dtype=torch.float32)
@@ -147,7 +152,7 @@ def pretrain(
             memory.sample(batch, generator)
             for memory, generator in zip(memories, generators, strict=True)
         ]
-        error = learner.update(_for_all(network, drawn))
+        error = learner.update(_for_all(network, drawn, rows))
     return error
 
 
@@ -156,11 +161,16 @@ def _check(
     loss: CandidateTDLoss,
     memories: Sequence[TransitionMemory],
     generators: Sequence[torch.Generator],
+    rows: Sequence[int],
 ) -> None:
-    if len(memories) != arenas or len(generators) != arenas:
+    if len(rows) != arenas or len(generators) != len(memories):
         raise ValueError(
-            f"expected one memory and one generator for each of {arenas} arenas, got "
-            f"{len(memories)} and {len(generators)}"
+            f"expected one memory for each of {arenas} arenas and one generator for each memory, "
+            f"got {len(rows)} and {len(generators)}"
+        )
+    if not all(0 <= row < len(memories) for row in rows):
+        raise ValueError(
+            f"memory_of: expected numbers from 0 to {len(memories) - 1}, got {list(rows)}"
         )
     candidates = isinstance(loss.value_network.heads, CandidateHeads)
     if candidates and not isinstance(loss, WireFittingLoss):
@@ -169,13 +179,15 @@ def _check(
         )
 
 
-def _for_all(network: PopulationNetwork, drawn: Sequence[TensorDictBase]) -> TensorDict:
-    """A minibatch [size] of each arena as transitions [arenas, robots, size] of every network."""
+def _for_all(
+    network: PopulationNetwork, drawn: Sequence[TensorDictBase], rows: Sequence[int]
+) -> TensorDict:
+    """A minibatch [size] of each memory as transitions [arenas, robots, size] of every network."""
     shape = (*network.shape, len(drawn[0]))
 
     def spread(name: str | tuple[str, str]) -> Tensor:
-        rows = torch.stack([each.get(name) for each in drawn]).to(network.weight.device)
-        return rows.unsqueeze(1).expand(*shape, rows.shape[-1])
+        own = torch.stack([each.get(name) for each in drawn])[rows].to(network.weight.device)
+        return own.unsqueeze(1).expand(*shape, own.shape[-1])
 
     now = {name: spread(name) for name in _NOW}
     following = {name: spread(("next", name)) for name in _NEXT}

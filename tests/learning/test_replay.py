@@ -190,6 +190,29 @@ def test_arenas_learn_from_their_own_memories_as_if_alone() -> None:
     assert trained(genomes[:2], (1, 2), [8]).weight[0, 0] != both.weight[0, 0]
 
 
+def test_arenas_may_share_memories() -> None:
+    """Arenas 0 and 2 of one robot each are the arena of both, 1 is one of its own."""
+    genomes = linear(3)
+    network = PopulationNetwork(genomes, shape=(3, 1))
+    loss = CandidateTDLoss(CandidateValue(network, DiscreteHeads(2)))
+    loss.make_value_estimator(gamma=GAMMA)
+    settings = LearnerConfig(learning_rate=0.05, optimizer="adam")
+    pretrain(
+        network,
+        loss,
+        [chain(), chain()],
+        settings,
+        steps=200,
+        batch=16,
+        generators=[generator(3), generator(8)],
+        memory_of=[0, 1, 0],
+    )
+    alone = trained([genomes[0], genomes[2]], (1, 2), [3]).genomes()
+    alone.insert(1, trained(genomes[1:2], (1, 1), [8]).genome(0))
+    for one, two in zip(alone, network.genomes(), strict=True):
+        assert one.link_weight.tobytes() == two.link_weight.tobytes()
+
+
 def test_continuous_actions_are_learnt_from_by_wire_fitting() -> None:
     """The reward of action a is 1 - 1.5 (a - 0.8)^2, stored by others."""
     heads = CandidateHeads(3, [0.0], [1.0])
@@ -242,7 +265,12 @@ def test_what_cannot_be_learnt_from_is_refused() -> None:
     memory, one = TransitionMemory(5), [generator()]
     with pytest.raises(ValueError, match="use a WireFittingLoss"):
         pretrain(network, loss, [memory], steps=1, batch=1, generators=one)
-    with pytest.raises(ValueError, match="one memory and one generator for each of 1 arenas"):
-        pretrain(network, loss, [], steps=1, batch=1, generators=one)
+    wires = WireFittingLoss(CandidateValue(network, heads, propose=True))
+    with pytest.raises(ValueError, match="one memory for each of 1 arenas and one generator for"):
+        pretrain(network, wires, [], steps=1, batch=1, generators=one)
+    with pytest.raises(ValueError, match="got 1 and 0"):
+        pretrain(network, wires, [memory], steps=1, batch=1, generators=[])
+    with pytest.raises(ValueError, match=r"memory_of: expected numbers from 0 to 0, got \[1\]"):
+        pretrain(network, wires, [memory], steps=1, batch=1, generators=one, memory_of=[1])
     with pytest.raises(ValueError, match="at least 1 step"):
         pretrain(network, loss, [memory], steps=0, batch=1, generators=one)
