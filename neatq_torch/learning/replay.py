@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.data import ReplayBuffer, TensorStorage
 
 from neatq_torch.learning.heads import CandidateHeads
 from neatq_torch.learning.learner import LearnerConfig, State, TDLearner
@@ -41,7 +41,7 @@ class TransitionMemory:
         self._clear()
 
     def _clear(self) -> None:
-        self._buffer = ReplayBuffer(storage=LazyTensorStorage(self.capacity))
+        self._buffer: ReplayBuffer | None = None
         self._added = 0
 
     def __len__(self) -> int:
@@ -60,9 +60,13 @@ class TransitionMemory:
     def _store(self, now: dict[str, Tensor], following: dict[str, Tensor]) -> None:
         added = len(following["reward"])
         if added:
-            rows = TensorDict(now | {"next": following}, [added])
-            self._buffer.extend(rows[-self.capacity :])
-            self._added += min(added, self.capacity)
+            rows = TensorDict(now | {"next": following}, [added])[-self.capacity :]
+            if self._buffer is None:
+                # Not a lazy storage: it prints a line whenever it finds out what it holds.
+                space = torch.zeros_like(rows[:1]).expand(self.capacity).clone()
+                self._buffer = ReplayBuffer(storage=TensorStorage(space))
+            self._buffer.extend(rows)
+            self._added += len(rows)
 
     def sample(self, size: int, generator: torch.Generator) -> TensorDictBase:
         """Draw so many transitions with replacement [size]; all chance is the generator's.
@@ -77,6 +81,7 @@ class TransitionMemory:
     def _rows(self, ages: Tensor) -> TensorDictBase:
         """Transitions by age, 0 for the oldest."""
         # Not by place: what is restored stands in other places.
+        assert self._buffer is not None
         oldest = self._added % self.capacity if self._added > self.capacity else 0
         return self._buffer[(ages + oldest) % len(self)]
 
@@ -111,9 +116,9 @@ def pretrain(
     """Train every network on stored transitions of its arena, before its first tick.
 
     It costs no sample: newborns begin with what the population has seen (Whiteson & Stone 2006,
-    "Sample-efficient evolutionary function approximation"). All networks that learn from a memory see
-    the same minibatches, drawn once by the memory's generator alone, and each bootstraps from its
-    own values; so the result does not depend on what other networks stand beside. Errors are
+    "Sample-efficient evolutionary function approximation"). All networks that learn from a memory
+    see the same minibatches, drawn once by the memory's generator alone, and each bootstraps from
+    its own values; so the result does not depend on what other networks stand beside. Errors are
     one-step.
 
     The action of a stored transition is no candidate of another genome. With discrete actions it is

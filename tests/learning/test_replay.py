@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import logging
 from collections.abc import Sequence
 from itertools import product
 
@@ -79,6 +81,20 @@ def test_idle_rows_are_not_remembered() -> None:
     batch["genome_id"][0, 0] = -1
     memory.extend(batch)
     assert set(drawn(memory)) == {4.0}
+
+
+def test_remembering_says_nothing() -> None:
+    said = io.StringIO()
+    handler = logging.StreamHandler(said)
+    logger = logging.getLogger("torchrl")
+    logger.addHandler(handler)
+    try:
+        memory = TransitionMemory(2)
+        memory.extend(transitions([1.0, 2.0, 3.0]))
+        memory.sample(2, generator())
+    finally:
+        logger.removeHandler(handler)
+    assert said.getvalue() == ""
 
 
 def test_an_empty_memory_says_so() -> None:
