@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import ReplayBuffer, TensorStorage
+from torchrl.data import ReplayBuffer, RoundRobinWriter, TensorStorage
 
 from neatq_torch.learning.heads import CandidateHeads
 from neatq_torch.learning.learner import LearnerConfig, State, TDLearner
@@ -62,9 +62,7 @@ class TransitionMemory:
         if added:
             rows = TensorDict(now | {"next": following}, [added])[-self.capacity :]
             if self._buffer is None:
-                # Not a lazy storage: it prints a line whenever it finds out what it holds.
-                space = torch.zeros_like(rows[:1]).expand(self.capacity).clone()
-                self._buffer = ReplayBuffer(storage=TensorStorage(space))
+                self._buffer = _buffer(rows[:1].expand(self.capacity).clone())
             self._buffer.extend(rows)
             self._added += len(rows)
 
@@ -100,6 +98,16 @@ class TransitionMemory:
             now = {name: torch.as_tensor(state[name]) for name in _NOW}
             following = {name: torch.as_tensor(state[f"next_{name}"]) for name in _NEXT}
             self._store(now, following)
+
+
+def _buffer(space: TensorDict) -> ReplayBuffer:
+    """A buffer for as many rows as `space` has.
+
+    Not a lazy storage, which prints a line when it finds out what it holds; and `compilable`, as
+    otherwise every count is shared memory with a semaphore, left behind when a process is ended.
+    """
+    storage = TensorStorage(space, compilable=True)
+    return ReplayBuffer(storage=storage, writer=RoundRobinWriter(compilable=True), compilable=True)
 
 
 def pretrain(
