@@ -54,8 +54,11 @@ class LifeLearningConfig:
     """What a genome's network learns during its life.
 
     Attributes:
-        rule: none: evolution alone; traces: Q(lambda) with eligibility traces, at every step.
-        step: Learning rate, discount and trace decay.
+        rule: none: evolution alone; traces: Q(lambda) with eligibility traces, at every step;
+            wire_fitting: one-step Q-learning on the value interpolated between the candidate
+            actions, which moves the candidates too. It needs a box of actions.
+        step: Learning rate, in units of the network outputs, discount and trace decay (which
+            wire_fitting does not use).
         anneal: Let the learning rate fall to 0 over the episodes of a life.
         epsilon: Probability of starting to explore, per step.
         max_hold_steps: Longest run of an explored action; 1 is plain epsilon-greedy.
@@ -65,7 +68,7 @@ class LifeLearningConfig:
             written into the genome before it breeds.
     """
 
-    rule: Literal["none", "traces"] = "traces"
+    rule: Literal["none", "traces", "wire_fitting"] = "traces"
     step: TraceConfig = field(default_factory=lambda: TraceConfig(discount=0.99))
     anneal: bool = True
     epsilon: float = 0.05
@@ -91,6 +94,39 @@ class LifeLearningConfig:
 
 
 NO_LEARNING = LifeLearningConfig(rule="none", epsilon=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PretrainingConfig:
+    """What newborns learn from the transitions of the generation before them.
+
+    It costs no step in the environment (Whiteson & Stone 2006, "Sample-efficient evolutionary
+    function approximation").
+
+    Attributes:
+        steps: Minibatches on which each network is trained before its first step; 0 goes without.
+        batch: Transitions of a minibatch; all networks of an arena see the same.
+        learning_rate: Of Adam, whose steps do not depend on the range of Q-values.
+        transitions: How many an arena remembers: the same share of each life, drawn from all of it.
+    """
+
+    steps: int = 0
+    batch: int = 32
+    learning_rate: float = 0.01
+    transitions: int = 10_000
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        for name, least in (("steps", 0), ("batch", 1), ("transitions", 1)):
+            if getattr(self, name) < least:
+                raise ConfigError(
+                    f"pretraining.{name}: expected at least {least}, got {getattr(self, name)}"
+                )
+        if not 0 < self.learning_rate < math.inf:
+            raise ConfigError(
+                "pretraining.learning_rate: expected a finite number above 0, got "
+                f"{self.learning_rate}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +174,7 @@ class GenerationalConfig:
         network: How networks are made.
         evolution: NEAT. The arm qnetwork takes its founders from here (start, start_hidden).
         learning: What a genome learns.
+        pretraining: What it has learnt before its first step.
         evaluation: How the champion is found.
     """
 
@@ -154,6 +191,7 @@ class GenerationalConfig:
     network: NetworkConfig = field(default_factory=NetworkConfig)
     evolution: NEATConfig = field(default_factory=NEATConfig)
     learning: LifeLearningConfig = field(default_factory=LifeLearningConfig)
+    pretraining: PretrainingConfig = field(default_factory=PretrainingConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
 
     def __post_init__(self) -> None:
@@ -184,6 +222,21 @@ class GenerationalConfig:
             )
         if not self.evolves and self.learning.rule == "none":
             raise ConfigError("learning.rule: qnetwork without learning would never change")
+        if self.pretraining.steps:
+            self._check_pretraining()
+
+    def _check_pretraining(self) -> None:
+        if self.learning.rule == "none":
+            raise ConfigError(
+                "pretraining.steps: expected 0 with learning.rule none, got "
+                f"{self.pretraining.steps}; without learning networks have no Q-values (the arm "
+                "neatq learns)"
+            )
+        if self.pretraining.transitions < self.population:
+            raise ConfigError(
+                f"pretraining.transitions: expected at least one for each of {self.population} "
+                f"genomes, got {self.pretraining.transitions}"
+            )
 
     @property
     def evolves(self) -> bool:

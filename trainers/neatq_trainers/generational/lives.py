@@ -20,10 +20,14 @@ from neatq_torch.learning import (
     CandidatePolicy,
     DiscreteHeads,
     EpsilonGreedy,
+    TDLearner,
     TraceLearner,
 )
 from neatq_torch.network import PopulationNetwork
 from neatq_trainers.generational.config import GenerationalConfig
+from neatq_trainers.generational.learners import learning_rate, make_learner, pretrain_newborns
+from neatq_trainers.generational.purposes import RECORDING
+from neatq_trainers.generational.recording import Lessons, Recorder, Transitions
 from neatq_trainers.generational.scout import Surroundings
 
 NOBODY = -1
@@ -37,11 +41,13 @@ class Lives(NamedTuple):
         genomes: As `pack_genomes` packs them.
         seeds: Int64 [lives, episodes], of the starts of their episodes.
         exploration: Seeds of their exploration, int64 [lives]; None: no exploration, no learning.
+        lessons: What they learn before; None: nothing.
     """
 
     genomes: dict[str, Any]
     seeds: np.ndarray
     exploration: np.ndarray | None
+    lessons: Lessons | None = None
 
 
 class Outcome(NamedTuple):
@@ -52,12 +58,14 @@ class Outcome(NamedTuple):
         steps: Int64 [lives].
         td_error: Mean squared TD error, float64 [lives]; NaN without learning.
         weights: Of the links of each genome at the end of its life, float32 [links].
+        transitions: What each life leaves to the next generation; empty if nothing is asked for.
     """
 
     returns: np.ndarray
     steps: np.ndarray
     td_error: np.ndarray
     weights: list[np.ndarray]
+    transitions: list[Transitions]
 
 
 def make_heads(
@@ -95,7 +103,7 @@ class LifeWorker:
         """
         genomes, learning = unpack_genomes(lives.genomes), self._config.learning
         if lives.exploration is not None and (learning.rule != "none" or learning.epsilon):
-            return self._live(genomes, lives.seeds, lives.exploration)
+            return self._live(genomes, lives.seeds, lives.exploration, lives.lessons)
         shape = lives.seeds.shape
         repeated = [genome for genome in genomes for _ in range(shape[1])]
         apart = self._live(repeated, lives.seeds.reshape(-1, 1), None)
@@ -104,10 +112,15 @@ class LifeWorker:
             apart.steps.reshape(shape).sum(1),
             apart.td_error[:: shape[1]],
             apart.weights[:: shape[1]],
+            apart.transitions,
         )
 
     def _live(
-        self, genomes: Sequence[Genome], seeds: np.ndarray, exploration: np.ndarray | None
+        self,
+        genomes: Sequence[Genome],
+        seeds: np.ndarray,
+        exploration: np.ndarray | None,
+        lessons: Lessons | None = None,
     ) -> Outcome:
         config = self._config
         shape = (len(genomes), 1)  # each has seeds of its own, so each is an arena of one row
@@ -121,17 +134,25 @@ class LifeWorker:
             name=config.environment.id,
             label=lambda row: f"genome {genomes[row].genome_id}",
         )
-        learns = exploration is not None and config.learning.rule == "traces"
+        learns = exploration is not None and config.learning.rule != "none"
         policy = CandidatePolicy(network, self.heads, self._exploration(shape, exploration))
-        learner = TraceLearner(network, self.heads, config.learning.step) if learns else None
+        if lessons is not None:
+            pretrain_newborns(network, self.heads, config.learning, config.pretraining, lessons)
+        learner = make_learner(network, self.heads, config.learning) if learns else None
+        recorder = self._recorder(exploration)
         chance = ExplorationType.DETERMINISTIC if exploration is None else ExplorationType.RANDOM
         with set_exploration_type(chance):
-            error = self._run(env, policy, learner)
-        steps = env.episodes.steps
-        return Outcome(env.episodes.returns, steps, error / steps, list(network.link_weights()))
+            error = self._run(env, policy, learner, recorder)
+        steps, weights = env.episodes.steps, list(network.link_weights())
+        left = [] if recorder is None else recorder.transitions()
+        return Outcome(env.episodes.returns, steps, error / steps, weights, left)
 
     def _run(
-        self, env: GymnasiumRows, policy: CandidatePolicy, learner: TraceLearner | None
+        self,
+        env: GymnasiumRows,
+        policy: CandidatePolicy,
+        learner: TraceLearner | TDLearner | None,
+        recorder: Recorder | None,
     ) -> np.ndarray:
         """Until all rows are idle; returns the sum of squared TD errors of each, float64 [rows]."""
         total = np.full(env.batch_size[0], np.nan if learner is None else 0.0)
@@ -139,6 +160,8 @@ class LifeWorker:
         while env.episodes.living.any():
             with torch.no_grad():  # act
                 lived, now = env.step_and_maybe_reset(policy(now))
+            if recorder is not None:
+                recorder.add(lived)
             if learner is not None:  # learn
                 total = total + learner.update(own_transitions(lived))[:, 0].double().numpy()
             ended = lived.get(("next", "done")).squeeze(-1)
@@ -151,7 +174,14 @@ class LifeWorker:
     def _annealed(self, env: GymnasiumRows) -> Tensor:
         """The learning rate of each row: the share of its episodes that are still to come."""
         done = torch.from_numpy(env.episodes.episode / env.episodes.seeds.shape[1])
-        return (self._config.learning.step.learning_rate * (1 - done)).float()
+        return (learning_rate(self.heads, self._config.learning) * (1 - done)).float()
+
+    def _recorder(self, seeds: np.ndarray | None) -> Recorder | None:
+        pretraining = self._config.pretraining
+        if seeds is None or not pretraining.steps:
+            return None
+        generators = [np.random.default_rng([seed, RECORDING]) for seed in seeds.tolist()]
+        return Recorder(pretraining.transitions // self._config.population, generators)
 
     def _exploration(self, shape: tuple[int, int], seeds: np.ndarray | None) -> EpsilonGreedy:
         learning = self._config.learning

@@ -8,7 +8,14 @@ from neatq_envs.torchrl_rows import episode_seeds
 from neatq_torch.genome import Genome
 from neatq_trainers.generational.lives import Outcome
 from neatq_trainers.generational.metrics import Row
-from neatq_trainers.generational.purposes import EVALUATION, EXPLORATION, TEST, TRAINING
+from neatq_trainers.generational.purposes import (
+    EVALUATION,
+    EXPLORATION,
+    PRETRAINING,
+    TEST,
+    TRAINING,
+)
+from neatq_trainers.generational.recording import Lessons, merged
 from neatq_trainers.generational.run import Champion, Run
 from neatq_trainers.generational.team import Team
 
@@ -23,7 +30,7 @@ def train_generation(run: Run, team: Team) -> list[Row]:
     genomes = [genome for population in run.populations for genome in population.genomes]
     starts = _seeds(run, TRAINING, run.generation, config.episodes, config.population)
 
-    lived = team.live(genomes, starts, _exploration(run))  # compile, act, learn
+    lived = team.live(genomes, starts, _exploration(run), _lessons(run))  # compile, act, learn
 
     fitness = lived.returns.mean(1).reshape(shape)
     learnt = [one.with_weights(own) for one, own in zip(genomes, lived.weights, strict=True)]
@@ -32,6 +39,9 @@ def train_generation(run: Run, team: Team) -> list[Row]:
         run.champions = _best(run, scores)
     run.steps = run.steps + lived.steps.reshape(shape).sum(1)
     rows = _rows(run, lived, fitness, scores)
+    if lived.transitions:
+        arenas = range(0, len(genomes), config.population)
+        run.memories = [merged(lived.transitions[i : i + config.population]) for i in arenas]
     for arena, population in enumerate(run.populations):
         if config.learning.inheritance == "lamarckian":
             for slot in range(config.population):
@@ -107,6 +117,18 @@ def _exploration(run: Run) -> np.ndarray:
         ],
         np.int64,
     )
+
+
+def _lessons(run: Run) -> Lessons | None:
+    """What the generation before has left; the first has none."""
+    if not run.memories:
+        return None
+    seeds = [
+        np.random.SeedSequence([seed, PRETRAINING, run.generation]).generate_state(1)[0]
+        for seed in run.config.seeds
+    ]
+    memory_of = np.repeat(np.arange(run.config.arenas), run.config.population)
+    return Lessons(run.memories, np.array(seeds, np.int64), memory_of)
 
 
 def _rows(

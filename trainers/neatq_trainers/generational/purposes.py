@@ -12,3 +12,7 @@ EVOLUTION = 4
 """Founders, mutation, mating."""
 EXPLORATION = 5
 """Exploration of each genome."""
+RECORDING = 6
+"""Which of its transitions a life leaves to the next generation."""
+PRETRAINING = 7
+"""Minibatches of the transitions that the generation before has left."""

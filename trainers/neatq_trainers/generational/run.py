@@ -16,6 +16,7 @@ from neatq_trainers.generational.config import GenerationalConfig
 from neatq_trainers.generational.fixed import FixedPopulation, Population
 from neatq_trainers.generational.lives import make_heads
 from neatq_trainers.generational.purposes import EVOLUTION
+from neatq_trainers.generational.recording import Transitions
 from neatq_trainers.generational.scout import Surroundings
 
 State = dict[str, Any]
@@ -46,6 +47,8 @@ class Run:
         champions: The champion of each arena; none before the first generation.
         generation: Generations so far.
         steps: Steps so far in each arena, int64 [arenas].
+        memories: What the last generation of each arena left to the next; none without
+            pre-training, and before the first generation.
     """
 
     config: GenerationalConfig
@@ -54,6 +57,7 @@ class Run:
     champions: list[Champion]
     generation: int = 0
     steps: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    memories: list[Transitions] = field(default_factory=list)
 
     @property
     def best(self) -> Champion | None:
@@ -71,6 +75,7 @@ class Run:
                 {"genome": one.genome.to_dict(), "score": one.score, "generation": one.generation}
                 for one in self.champions
             ],
+            "memories": self.memories,
         }
 
 
@@ -85,6 +90,12 @@ def begin_run(config: GenerationalConfig, surroundings: Surroundings, interface:
         raise ConfigError(
             f"network.candidates: expected at least 2, got {heads.candidates}; with one there is "
             "no Q-value to learn (--learning.rule none goes without)"
+        )
+    if config.learning.rule == "wire_fitting" and interface.choices is not None:
+        raise ConfigError(
+            f"learning.rule: expected traces or none, got wire_fitting; {config.environment.id} "
+            f"has {interface.choices} actions to choose from, between which nothing can be "
+            "interpolated (wire_fitting needs a box of actions)"
         )
     only_ranks = interface.choices is not None and config.learning.rule == "none"
     activation = config.network.activation or ("identity" if only_ranks else "sigmoid")
@@ -120,6 +131,7 @@ def load_run(config: GenerationalConfig, state: Mapping[str, Any]) -> Run:
         champions=_champions(state["champions"]),
         generation=state["generation"],
         steps=np.asarray(state["steps"]),
+        memories=state["memories"],
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from neatq_torch.genome import Genome, pack_genomes
 from neatq_trainers.generational.config import GenerationalConfig
 from neatq_trainers.generational.lives import LifeWorker, Lives, Outcome
+from neatq_trainers.generational.recording import Lessons
 from neatq_trainers.generational.scout import Surroundings
 from neatq_trainers.processes import Remote, usable_cores
 
@@ -32,7 +33,11 @@ class Team:
         ]
 
     def live(
-        self, genomes: Sequence[Genome], seeds: np.ndarray, exploration: np.ndarray | None
+        self,
+        genomes: Sequence[Genome],
+        seeds: np.ndarray,
+        exploration: np.ndarray | None,
+        lessons: Lessons | None = None,
     ) -> Outcome:
         """Let genomes live.
 
@@ -40,14 +45,16 @@ class Team:
             genomes: Whose lives.
             seeds: Of the starts of their episodes [lives, episodes].
             exploration: Seeds of their exploration [lives]; None: no exploration, no learning.
+            lessons: What they learn before; None: nothing.
         """
         if self._local is not None:
-            return self._local.live(Lives(pack_genomes(genomes), seeds, exploration))
+            return self._local.live(Lives(pack_genomes(genomes), seeds, exploration, lessons))
         count = min(len(self._remote), len(genomes))
         hands = [slice(first, None, count) for first in range(count)]
         for worker, hand in zip(self._remote, hands, strict=False):
             chance = None if exploration is None else exploration[hand]
-            worker.ask("live", Lives(pack_genomes(genomes[hand]), seeds[hand], chance))
+            before = None if lessons is None else lessons.of(hand)
+            worker.ask("live", Lives(pack_genomes(genomes[hand]), seeds[hand], chance, before))
         came = [worker.answer() for worker in self._remote[:count]]
         return _gathered(came, hands, len(genomes))
 
@@ -59,11 +66,20 @@ class Team:
 
 def _gathered(came: Sequence[Outcome], hands: Sequence[slice], lives: int) -> Outcome:
     order = np.argsort(np.concatenate([np.arange(lives)[hand] for hand in hands]))
-    returns, steps, td_error = (
-        np.concatenate([outcome[part] for outcome in came])[order] for part in range(3)
-    )
+
+    def rows(name: str) -> np.ndarray:
+        return np.concatenate([getattr(outcome, name) for outcome in came])[order]
+
+    returns, steps, td_error = rows("returns"), rows("steps"), rows("td_error")
     weights = [one for outcome in came for one in outcome.weights]
-    return Outcome(returns, steps, td_error, [weights[place] for place in order])
+    left = [one for outcome in came for one in outcome.transitions]
+    return Outcome(
+        returns,
+        steps,
+        td_error,
+        [weights[place] for place in order],
+        [left[place] for place in order] if left else [],
+    )
 
 
 @contextmanager
