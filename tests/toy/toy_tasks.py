@@ -79,6 +79,12 @@ class Ends(gymnasium.Env[Any, Any]):
         return 1, 1.0, over and not by_time, over and by_time, {}
 
 
+class EndsInBox(Ends):
+    """The same with a number to choose, which changes nothing."""
+
+    action_space = spaces.Box(-1, 3, (1,))
+
+
 class Broken(Walk):
     """Breaks at the given step of the episodes with an odd seed, once more than `after` ended."""
 
@@ -143,7 +149,7 @@ class Spaces(gymnasium.Env[Any, Any]):
         return self.observation_space.sample(), 0.0, False, False, {}
 
 
-LENGTHS = {Walk: 20, Ends: None, Broken: 20, Carrying: 20, Dicing: 20, Spaces: 5}
+LENGTHS = {Walk: 20, Ends: None, EndsInBox: None, Broken: 20, Carrying: 20, Dicing: 20, Spaces: 5}
 for kind, length in LENGTHS.items():
     entry: Any = kind
     gymnasium.register(f"toy/{kind.__name__}-v0", entry, max_episode_steps=length)

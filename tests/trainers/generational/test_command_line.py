@@ -128,6 +128,14 @@ def test_the_help_shows_the_options_of_this_trainer(neatq: Say) -> None:
             ["--task", "gym:Pendulum-v1", "--arm", "qnetwork", "--learning.rule", "none"],
             "learning.rule: qnetwork without learning",
         ),
+        (
+            ["--task", "gym:CartPole-v1", "--arm", "neatq", "--learning.rule", "wire_fitting"],
+            "learning.rule: .*CartPole-v1 has 2 actions to choose from.*needs a box of actions",
+        ),
+        (
+            ["--task", "gym:CartPole-v1", "--arm", "neat", "--pretraining.steps", "5"],
+            "pretraining.steps: expected 0 with learning.rule none, got 5",
+        ),
     ],
 )
 @pytest.mark.filterwarnings("ignore")
@@ -144,6 +152,16 @@ def test_bad_input_is_answered_in_one_line(
     ("options", "pattern"),
     [
         (["--learning.value-range", "3", "1"], "value_range: expected two numbers, the smaller"),
+        (["--pretraining.steps", "-1"], "pretraining.steps: expected at least 0, got -1"),
+        (["--pretraining.batch", "0"], "pretraining.batch: expected at least 1, got 0"),
+        (
+            ["--pretraining.learning-rate", "0"],
+            r"pretraining.learning_rate: expected a finite number above 0, got 0",
+        ),
+        (
+            ["--arm", "neatq", "--pretraining.steps", "5", "--pretraining.transitions", "7"],
+            "pretraining.transitions: expected at least one for each of 100 genomes, got 7",
+        ),
         (["--learning.epsilon", "2"], r"learning.epsilon: expected a number in \[0, 1\], got 2"),
         (["--learning.max-hold-steps", "0"], "learning.max_hold_steps: expected at least 1, got 0"),
         (["--network.candidates", "0"], "network.candidates: expected at least 1, got 0"),

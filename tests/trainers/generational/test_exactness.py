@@ -19,7 +19,7 @@ from neatq_trainers.generational.train import resume, start
 from neatq_trainers.progress import ProgressBar
 from neatq_trainers.run_files import CHAMPION, CHECKPOINT, CONFIG, METRICS
 
-ARMS = ("neat", "neatq", "qnetwork")
+ARMS = ("neat", "neatq", "qnetwork", "pretrained", "wires")
 Tiny = Callable[..., GenerationalConfig]
 Done = Callable[[str], Path]
 Differences = Callable[[dict[str, Any], dict[str, Any]], list[str]]
@@ -54,7 +54,7 @@ def test_another_seed_is_another_run(arm: str, tiny: Tiny, done: Done, tmp_path:
     assert ours != other
 
 
-@pytest.mark.parametrize("arm", ["neat", "neatq"])
+@pytest.mark.parametrize("arm", ["neat", "neatq", "pretrained", "wires"])
 def test_a_run_is_the_same_in_one_process_and_in_two(
     arm: str, tiny: Tiny, done: Done, same_run: Same, tmp_path: Path
 ) -> None:
@@ -128,8 +128,8 @@ def test_an_arena_is_the_run_with_its_seed(
 ) -> None:
     start(tiny(arm, arenas=2, seed=0), tmp_path / "run")
     alone, beside = (load_checkpoint(f / CHECKPOINT) for f in (done(arm), tmp_path / "run"))
-    for part in ("populations", "champions"):
-        assert differences({"_": alone[part][0]}, {"_": beside[part][1]}) == []
+    for part in ("populations", "champions", "memories"):
+        assert differences({"_": alone[part][:1]}, {"_": beside[part][1:]}) == []
     lines = [line.split(",", 1) for line in (tmp_path / "run" / METRICS).read_text().splitlines()]
     ours = [rest for arena, rest in lines if arena == "1"]
     theirs = [line.split(",", 1)[1] for line in (done(arm) / METRICS).read_text().splitlines()[1:]]

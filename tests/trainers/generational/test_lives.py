@@ -77,9 +77,10 @@ def test_values_are_bootstrapped_over_an_end_by_time_and_not_over_one_for_good(
         assert error == pytest.approx((1 + weight_of_next * after - before) ** 2, rel=1e-4)
 
 
-def test_the_learning_rate_falls_to_zero_over_a_life(tiny: Tiny) -> None:
+@pytest.mark.parametrize("variant", ["neatq", "wires"])
+def test_the_learning_rate_falls_to_zero_over_a_life(tiny: Tiny, variant: str) -> None:
     """With the trace empty after each episode, episode e of 4 moves weights by (1 - e/4) alpha."""
-    config = tiny("neatq", "Ends-v0", episodes=1)
+    config = tiny(variant, "EndsInBox-v0", episodes=1)
     config = replace(config, learning=replace(config.learning, epsilon=0.0))
     run = run_of(config)
     worker = LifeWorker(config, run.surroundings)
