@@ -8,7 +8,7 @@ from pathlib import Path
 import tyro
 
 from neatq_trainers.config import ConfigError
-from neatq_trainers.reproduce import arena, double_pole, neat_q, xor
+from neatq_trainers.reproduce import arena, double_pole, gymnasium_tasks, neat_q, xor
 from neatq_trainers.reproduce.experiment import Experiment
 from neatq_trainers.reproduce.runner import reproduce
 from neatq_trainers.workers import usable_cores
@@ -18,6 +18,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     xor.EXPERIMENT,
     *double_pole.EXPERIMENTS,
     *neat_q.EXPERIMENTS,
+    gymnasium_tasks.EXPERIMENT,
 )
 
 

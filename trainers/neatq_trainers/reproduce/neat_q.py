@@ -33,9 +33,12 @@ from neatq_trainers.reproduce.experiment import (
     column,
     mean_and_error,
 )
-from neatq_trainers.reproduce.generational import champion_at, run_seeds
+from neatq_trainers.reproduce.generational import champion_at, episodes_to, run_seeds
 
 ARMS = ("neatq", "neat", "qnetwork")
+PRETRAINING_ARMS = {"pretrained": 200, "neatq": 0}
+"""Minibatches before the first step of a life."""
+THRESHOLD = -60.0
 POPULATION, NETWORKS = 50, 10
 GENERATIONS, QUICK_GENERATIONS = 40, 5
 
@@ -48,15 +51,18 @@ class Budget(NamedTuple):
         episodes: of a life in a population of 50.
         held_out: episodes of an evaluation.
         tested: episodes of the final test.
+        env_kwargs: arguments of the environment.
     """
 
     task: str
     episodes: int
     held_out: int
     tested: int
+    env_kwargs: tuple[str, ...] = ()
 
 
-MOUNTAIN_CAR = Budget("gym:neatq/MountainCar-v0", 10, 100, 1000)
+MOUNTAIN_CAR = Budget("gym:neatq/MountainCar-v0", 10, 100, 1000, ("max_episode_steps=500",))
+FEW_EPISODES = MOUNTAIN_CAR._replace(episodes=2)
 SERVER_JOBS = Budget("gym:neatq/ServerJobs-v0", 10, 50, 300)
 
 
@@ -68,6 +74,7 @@ def config(budget: Budget, arm: str, *, quick: bool) -> GenerationalConfig:
         population=population,
         episodes=budget.episodes * POPULATION // population,
         generations=QUICK_GENERATIONS if quick else GENERATIONS,
+        env_kwargs=budget.env_kwargs,
         evaluation=EvaluationConfig(
             every=5, genomes=3, episodes=budget.held_out, test_episodes=budget.tested
         ),
@@ -82,6 +89,44 @@ def drive(task: Task) -> list[Result]:
 def schedule(task: Task) -> list[Result]:
     """Run an arm on server job scheduling."""
     return run_seeds(task, config(SERVER_JOBS, task.arm, quick=task.quick))
+
+
+def pretrain(task: Task) -> list[Result]:
+    """Run NEAT+Q on the mountain car with or without pre-training; each generation is evaluated."""
+    steps = PRETRAINING_ARMS[task.arm]
+    made = config(FEW_EPISODES, "neatq", quick=task.quick)
+    return run_seeds(
+        task,
+        replace(
+            made,
+            pretraining=replace(made.pretraining, steps=steps),
+            evaluation=replace(made.evaluation, every=1),
+        ),
+    )
+
+
+def pretraining_table(results: Results) -> str:
+    """Episodes until a champion was evaluated at the threshold, as Markdown."""
+    lines = [
+        f"| arm | runs | reached {THRESHOLD:g} | episodes until then | 95 % interval | "
+        "return after all episodes |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for arm, runs in results.items():
+        if not runs:
+            continue
+        reached = [episodes_to(one, THRESHOLD) for one in runs]
+        # A run that never got there counts with all its episodes, which is too few.
+        needed = [
+            one["episodes"] if at is None else at for one, at in zip(runs, reached, strict=True)
+        ]
+        low, high = bootstrap_interval(needed)
+        count = sum(at is not None for at in reached)
+        lines.append(
+            f"| {arm} | {len(runs)} | {count} | {mean_and_error(needed, 0)} | {low:,.0f} to "
+            f"{high:,.0f} | {mean_and_error(column(runs, 'return'))} |"
+        )
+    return "\n".join(lines) + "\n"
 
 
 def mountain_car_table(results: Results) -> str:
@@ -173,6 +218,17 @@ EXPERIMENTS = (
         batch=5,
         run=schedule,
         table=server_jobs_table,
+        figure=draw,
+    ),
+    Experiment(
+        name="pretraining",
+        summary="NEAT+Q with and without off-line pre-training (Whiteson & Stone 2006b)",
+        arms=tuple(PRETRAINING_ARMS),
+        seeds=10,
+        quick_seeds=2,
+        batch=5,
+        run=pretrain,
+        table=pretraining_table,
         figure=draw,
     ),
 )

@@ -1,0 +1,83 @@
+"""Experiments of the trainer for Gymnasium tasks: equal budgets, honest tables."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from neatq_trainers.generational.config import EvaluationConfig
+from neatq_trainers.reproduce import gymnasium_tasks, neat_q
+from neatq_trainers.reproduce.experiment import Result, Task
+from neatq_trainers.reproduce.generational import champion_at, episodes_to, run_seeds
+
+
+def result(seed: int, value: float, *curve: tuple[int, float]) -> Result:
+    return {"seed": seed, "return": value, "episodes": 400, "steps": 9, "curve": list(curve)}
+
+
+@pytest.mark.parametrize("budget", [neat_q.MOUNTAIN_CAR, neat_q.SERVER_JOBS])
+def test_all_arms_have_as_many_episodes(budget: neat_q.Budget) -> None:
+    configs = [neat_q.config(budget, arm, quick=False) for arm in neat_q.ARMS]
+    assert {one.population * one.episodes * one.generations for one in configs} == {20_000}
+
+
+def test_gymnasium_tasks_give_both_arms_as_many_episodes() -> None:
+    for name in gymnasium_tasks.CHALLENGES:
+        arms = [gymnasium_tasks.config(f"{name}: {one}", quick=False) for one in ("neat", "neatq")]
+        assert len({one.population * one.episodes * one.generations for one in arms}) == 1
+
+
+def test_a_seed_gives_the_same_result_whatever_runs_beside_it(tmp_path: Path) -> None:
+    config = replace(
+        neat_q.config(neat_q.MOUNTAIN_CAR, "neatq", quick=True),
+        population=6,
+        episodes=2,
+        generations=2,
+        env_kwargs=("max_episode_steps=40",),
+        evaluation=EvaluationConfig(every=1, genomes=2, episodes=3, test_episodes=4),
+    )
+    both = run_seeds(Task("neatq", (0, 1), True, tmp_path / "both"), config)
+    alone = run_seeds(Task("neatq", (1,), True, tmp_path / "alone"), config)
+    assert both[1] == alone[0]
+    assert alone[0]["episodes"] == 6 * 2 * 2
+    assert [episodes for episodes, _ in alone[0]["curve"]] == [12, 24]
+    again = run_seeds(Task("neatq", (1,), True, tmp_path / "alone"), config)
+    assert again == alone  # a finished run is read, not run again
+
+
+def test_the_advantage_is_that_of_paired_seeds() -> None:
+    # Seeds 0 and 1 differ by 10 and 20; seed 2 has no partner.
+    results = {
+        "neatq": [result(0, -50, (400, -50)), result(1, -60, (400, -60)), result(2, 0, (400, 0))],
+        "neat": [result(0, -60, (100, -90), (400, -60)), result(1, -80, (100, -70), (400, -80))],
+    }
+    results["neatq"] = [one | {"curve": [(100, -99), *one["curve"]]} for one in results["neatq"]]
+    row = neat_q.mountain_car_table(results).splitlines()[3]
+    assert "| neat | 2 | 400 | 9 | -70.0 ± 10.0 | -80.0 | -80.0 ± 10.0 |" in row
+    assert row.endswith("| 15.0 (10.0 to 20.0) |")
+
+
+def test_a_run_that_never_reached_the_threshold_counts_with_all_its_episodes() -> None:
+    runs = [result(0, -55, (100, -70), (200, -58)), result(1, -70, (100, -90), (200, -80))]
+    row = neat_q.pretraining_table({"neatq": runs}).splitlines()[2]
+    assert row.startswith("| neatq | 2 | 1 | 300 ± 100 | 200 to 400 |")  # 200 and 400
+
+
+def test_curves_are_read_at_a_moment_and_at_a_threshold() -> None:
+    run = result(0, -55, (100, -70), (200, -58))
+    assert champion_at([run], 199).tolist() == [-70]
+    assert episodes_to(run, -60) == 200
+    assert episodes_to(run, -10) is None
+
+
+def test_what_counts_as_solved_is_counted() -> None:
+    runs = [result(0, 95, (1, 1)), result(1, 80, (1, 1))]
+    row = gymnasium_tasks.table({"MountainCarContinuous-v0: neat": runs}).splitlines()[2]
+    assert "| 87.5 ± 7.5 | 80.0 | 1 (>= 90) |" in row
+
+
+def test_server_jobs_are_shown_beside_the_oracle() -> None:
+    text = neat_q.server_jobs_table({"neat": [result(0, -7000, (100, -7100))]})
+    assert "| oracle that knows all arrivals | -4,772 ± 32 |" in text
