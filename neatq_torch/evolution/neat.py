@@ -28,6 +28,9 @@ from neatq_torch.genome import (
 Innovations = Literal["generation", "run"]
 """For how long equal mutations have equal numbers."""
 
+Representative = Literal["champion", "random"]
+"""Which member of a species newcomers are compared with."""
+
 Start = Literal["minimal", "layered", "random"]
 """What founders look like: no hidden nodes; one hidden layer; a random topology."""
 
@@ -45,6 +48,9 @@ class NEATConfig:
         reproduction: how offspring come about.
         species: how genomes are sorted into species. The threshold stays, unless `step` lets it
             move; it moves once a generation, `adjust_every` has no meaning here.
+        representative: which member of the generation before represents a species: "champion", as
+            in the authors' code, or "random", as in the paper. Where weights count much in the
+            distance, species around random members scatter into twos and threes.
         speciate: whether there are species; else all genomes are of one.
         survival_share: share of a species, the fittest, that may breed; one more may always.
         stagnation_generations: a species whose best fitness did not rise for so long has no
@@ -60,6 +66,7 @@ class NEATConfig:
 
     reproduction: ReproductionConfig = NEAT_2002
     species: SpeciesConfig = field(default_factory=lambda: SpeciesConfig(threshold=3.0, step=0.0))
+    representative: Representative = "champion"
     speciate: bool = True
     survival_share: float = 0.2
     stagnation_generations: int = 15
@@ -81,6 +88,10 @@ class NEATConfig:
         if self.innovations not in ("generation", "run"):
             raise ValueError(
                 f"innovations must be 'generation' or 'run', not {self.innovations!r}."
+            )
+        if self.representative not in ("champion", "random"):
+            raise ValueError(
+                f"representative must be 'champion' or 'random', not {self.representative!r}."
             )
         if self.start not in ("minimal", "layered", "random"):
             raise ValueError(f"start must be 'minimal', 'layered' or 'random', not {self.start!r}.")
@@ -308,13 +319,13 @@ class NEAT:
         return child
 
     def _settle(self, genomes: list[Genome]) -> None:
-        """Make genomes the next generation and sort them into species.
-
-        A species is represented by a random member of the generation before.
-        """
-        representatives = [
-            self.genomes[one.members[self.rng.integers(one.members.size)]] for one in self.species
+        """Make genomes the next generation and sort them into the species, which are ranked."""
+        random = self.config.representative == "random"
+        slots = [
+            one.members[self.rng.integers(one.members.size) if random else 0]
+            for one in self.species
         ]
+        representatives = [self.genomes[slot] for slot in slots]
         self.speciation.renew(genomes, representatives)
         if self.config.species.step and self.config.speciate:
             self.speciation.move_threshold()

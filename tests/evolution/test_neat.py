@@ -10,7 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from neatq_torch.checkpoint import load_checkpoint, save_checkpoint
-from neatq_torch.evolution import NEAT, NEAT_2002, NEATConfig, Species, SpeciesConfig
+from neatq_torch.evolution import (
+    NEAT,
+    NEAT_2002,
+    NEATConfig,
+    Speciation,
+    Species,
+    SpeciesConfig,
+)
 from neatq_torch.evolution.generation import breeders, offspring_counts, shared_fitness
 from neatq_torch.genome import (
     Genome,
@@ -224,6 +231,25 @@ def test_a_new_species_is_numbered_on_and_empty_ones_vanish() -> None:
     assert [one.members.tolist() for one in population.species] == [[1, 2], [0]]
 
 
+@pytest.mark.parametrize(("representative", "drawn"), [("champion", {2}), ("random", {0, 1, 2})])
+def test_the_champion_or_a_random_member_represents_a_species(
+    representative: Any, drawn: set[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: set[int] = set()
+
+    def spy(self: Speciation, genomes: list[Genome], representatives: list[Genome]) -> None:
+        seen.update(one.genome_id for one in representatives)
+
+    population = apart(0.0, 0.1, 0.2, representative=representative)
+    monkeypatch.setattr(Speciation, "renew", spy)
+    for _ in range(50):
+        again = apart(0.0, 0.1, 0.2, representative=representative)
+        again.speciation.species = [Species(1, np.array([0, 1, 2]))]
+        again.rng = population.rng
+        again.advance([1.0, 2.0, 3.0])
+    assert seen == drawn
+
+
 def test_a_threshold_with_a_step_moves_once_a_generation() -> None:
     species = SpeciesConfig(threshold=3.0, target=5, step=0.5, floor=0.3)
     population = start(10, species=species)
@@ -352,6 +378,7 @@ def test_fitness_of_another_shape_is_refused() -> None:
         ("elite_members", -1),
         ("start", "full"),
         ("innovations", "for ever"),
+        ("representative", "first"),
     ],
 )
 def test_a_bad_setting_is_named(field: str, value: Any) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -108,11 +109,15 @@ def test_without_velocities_a_winner_must_balance_long_and_from_200_starts(
     calls: list[tuple[int, int]] = []
     general = [199, 200]
 
-    def pretend(genomes: list[Genome], state: np.ndarray, limit: int, **rest: object) -> np.ndarray:
+    def pretend(genomes: list[Genome], state: np.ndarray, limit: int, **rest: Any) -> np.ndarray:
         calls.append((len(genomes), limit))
         if len(genomes) == 625:
             return np.where(np.arange(625) < general.pop(0), limit, 3)
-        return np.array([limit if one.genome_id % 20 == 1 else 5 for one in genomes])
+        if len(genomes) == 1:
+            return np.array([limit])
+        rest["wobble"][:] = 1.0
+        # The first genome is the fittest until one beyond the 60th is born.
+        return np.array([900 + (one.genome_id == 1) + 2 * (one.genome_id > 60) for one in genomes])
 
     monkeypatch.setattr(double_pole, "balance", pretend)
     setting = Setting(config=NEATConfig(elite_members=1000), population=19, velocities=False)
