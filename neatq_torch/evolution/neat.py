@@ -218,8 +218,10 @@ class NEAT:
         """Replace this generation by the next.
 
         Species are ranked and have offspring in proportion to their mean fitness; the fittest of
-        each breed, all with equal chance. The best genome always lives on, whatever its species,
-        and if all species stagnate the two best of them breed, so a population never dies out.
+        each breed, all with equal chance. If all species stagnate the two best of them breed, so a
+        population never dies out. As in the paper, the best genome of a small or stagnating species
+        is lost, even if it is the best of all: where it was always kept, single runs of double pole
+        balancing hung on to it for hundreds of generations.
 
         Args:
             fitness: [population] of the genomes in their slots, finite. May be negative.
@@ -234,10 +236,8 @@ class NEAT:
         self._note(champions)
         counts = self._offspring_counts(shared_fitness(fitness, self.species), champions)
         genomes: list[Genome] = []
-        for index, species in enumerate(self.species):
-            large = species.members.size > self.config.elite_members
-            keep = large or index == champions.argmax()
-            genomes += self._children(species, int(counts[index]), fitness, keep)
+        for species, count in zip(self.species, counts.tolist(), strict=True):
+            genomes += self._children(species, count, fitness)
         self._settle(genomes)
 
     def _note(self, champions: NDArray[np.float64]) -> None:
@@ -265,12 +265,7 @@ class NEAT:
         all_waited = self.generation - self._record.generation
         if all_waited >= self.config.refocus_generations or not shares.any():
             shares = self._refocused(champions)
-        counts = offspring_counts(shares, len(self.genomes))
-        home = champions.argmax()
-        if not counts[home]:
-            counts[counts.argmax()] -= 1
-            counts[home] = 1
-        return counts
+        return offspring_counts(shares, len(self.genomes))
 
     def _refocused(self, champions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return equal shares for the two best of [species], who are given time again."""
@@ -282,11 +277,10 @@ class NEAT:
         shares[best] = 1.0
         return shares
 
-    def _children(
-        self, species: Species, count: int, fitness: NDArray[np.float64], keep: bool
-    ) -> list[Genome]:
-        """Return what comes from a ranked species: its champion, to `keep` it, and offspring."""
-        children = [self.genomes[species.members[0]]] if count and keep else []
+    def _children(self, species: Species, count: int, fitness: NDArray[np.float64]) -> list[Genome]:
+        """Return what comes from a ranked species: its champion, if it is large, and offspring."""
+        large = species.members.size > self.config.elite_members
+        children = [self.genomes[species.members[0]]] if count and large else []
         pool = breeders(species.members, self.config.survival_share)
         while len(children) < count:
             children.append(self._child(species, pool, fitness))

@@ -111,18 +111,15 @@ def test_counts_add_up_and_are_within_one_of_what_is_due(shares: list[float], to
     threshold=st.sampled_from([0.5, 1.0, 3.0]),
     scale=st.sampled_from([0.0, 1.0, 1e6]),
 )
-def test_a_population_keeps_its_size_and_its_best(
+def test_a_population_keeps_its_size(
     population: int, seed: int, threshold: float, scale: float
 ) -> None:
     config = {"species": SpeciesConfig(threshold=threshold, step=0.0), "stagnation_generations": 2}
     evolved = start(population, seed, **config)
     chance = np.random.default_rng(seed)
     for _ in range(6):
-        fitness = chance.normal(size=population) * scale
-        best = [evolved.genomes[slot] for slot in np.flatnonzero(fitness == fitness.max())]
-        evolved.advance(fitness)
+        evolved.advance(chance.normal(size=population) * scale)
         assert len(evolved.genomes) == population
-        assert any(identical(one, genome) for one in best for genome in evolved.genomes)
         members = np.concatenate([one.members for one in evolved.species])
         assert sorted(members.tolist()) == list(range(population))
 
@@ -140,12 +137,12 @@ def test_champions_of_large_species_live_on_bit_for_bit_and_others_do_not() -> N
     assert population.births == 18
 
 
-def test_the_champion_of_a_small_species_has_only_changed_offspring() -> None:
+def test_the_champions_of_small_species_have_only_changed_offspring() -> None:
     still = replace(NEAT_2002, mutation=replace(MUTATION, link_weights_prob=1.0))
     population = apart(*[0.0] * 5, 10.0, reproduction=still)
     population.advance([1.0] * 5 + [2.0])
-    # The best of all lives on though it is alone; nobody else has an old number.
-    assert [one.genome_id for one in population.genomes if one.genome_id < 6] == [5]
+    # Not even the best of all lives on, as it is alone.
+    assert all(one.genome_id >= 6 for one in population.genomes)
 
 
 def test_a_species_that_stagnates_has_no_offspring_until_it_improves() -> None:
@@ -217,9 +214,9 @@ def test_all_breeders_have_the_same_chance_and_nobody_else_breeds() -> None:
         again.rng = population.rng
         again.advance(np.arange(10.0))
         totals += np.bincount([round(10 * one.link_weight[0]) for one in again.genomes], None, 10)
-    # 300 times the best lived on, and 2700 offspring come from three parents alike.
+    # 3000 offspring come from three parents alike.
     assert totals[:7].sum() == 0
-    assert np.abs(totals[7:] - [900, 900, 1200]).max() < 100
+    assert np.abs(totals[7:] - 1000).max() < 100
 
 
 def test_a_new_species_is_numbered_on_and_empty_ones_vanish() -> None:
