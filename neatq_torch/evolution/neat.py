@@ -48,8 +48,8 @@ class NEATConfig:
         reproduction: how offspring come about.
         species: how genomes are sorted into species. The threshold stays, unless `step` lets it
             move; it moves once a generation, `adjust_every` has no meaning here.
-        representative: which member of the generation before represents a species: "champion", as
-            in the authors' code, or "random", as in the paper. Where weights count much in the
+        representative: which member of the generation before represents a species: "random", as
+            in the paper, or "champion", as in the authors' code. Where weights count much in the
             distance, species around random members scatter into twos and threes.
         speciate: whether there are species; else all genomes are of one.
         survival_share: share of a species, the fittest, that may breed; one more may always.
@@ -66,7 +66,7 @@ class NEATConfig:
 
     reproduction: ReproductionConfig = NEAT_2002
     species: SpeciesConfig = field(default_factory=lambda: SpeciesConfig(threshold=3.0, step=0.0))
-    representative: Representative = "champion"
+    representative: Representative = "random"
     speciate: bool = True
     survival_share: float = 0.2
     stagnation_generations: int = 15

@@ -85,8 +85,12 @@ class Setting:
     long_pole_rad: float = PAPER_START_RAD
 
 
+# Around random members such species scatter into twos and threes, and nothing is solved.
 _HARD = NEATConfig(
-    reproduction=LARGE, species=SpeciesConfig(threshold=4.0, step=0.0), survival_share=0.4
+    reproduction=LARGE,
+    species=SpeciesConfig(threshold=4.0, step=0.0),
+    representative="champion",
+    survival_share=0.4,
 )
 
 SETTINGS = {
