@@ -105,16 +105,9 @@ def step(state: np.ndarray, output: np.ndarray) -> np.ndarray:
     return _step(state, output)
 
 
-def record_wobble(wobble: np.ndarray, state: np.ndarray, step: int) -> None:
-    """Note how far the living are from rest; only the last 100 notes are kept.
-
-    Args:
-        wobble: float64 [rows, 100], zeros at first; written. Where rows are dropped from the
-            state, drop the same from here.
-        state: float64 [rows, 6] after the action; a fallen row's last state does not count.
-        step: number of the action, from 0.
-    """
-    _record_wobble(wobble, state, step % WOBBLE_STEPS)
+def unrest(state: np.ndarray) -> np.ndarray:
+    """Return |x| + |x'| + |angle| + |angle'|, of the long pole only, float64 [rows]."""
+    return np.abs(state[:, :4]).sum(axis=1)
 
 
 def damping_fitness(steps: np.ndarray, wobble: np.ndarray) -> np.ndarray:
@@ -126,10 +119,10 @@ def damping_fitness(steps: np.ndarray, wobble: np.ndarray) -> np.ndarray:
 
     Args:
         steps: t, how many actions of at most 1,000 each row stayed alive, [rows].
-        wobble: as `record_wobble` left it, float64 [rows, 100].
+        wobble: `unrest` after each of the last 100 balanced actions, float64 [rows, 100].
     """
-    unrest = np.maximum(wobble.sum(axis=1), np.finfo(float).tiny)
-    calm = np.where(steps < WOBBLE_STEPS, 0.0, _WOBBLE_SCALE / unrest)
+    total = np.maximum(wobble.sum(axis=1), np.finfo(float).tiny)
+    calm = np.where(steps < WOBBLE_STEPS, 0.0, _WOBBLE_SCALE / total)
     return 0.1 * steps / _TRIAL_STEPS + 0.9 * calm
 
 
@@ -212,15 +205,6 @@ class DoublePoleVectorEnv(RowVectorEnv):
         long_pole_rad: float = PAPER_START_RAD,
     ) -> None:
         super().__init__(DoublePole(velocities, long_pole_rad), num_envs, max_episode_steps)
-
-
-@njit(cache=True)
-def _record_wobble(wobble: np.ndarray, state: np.ndarray, place: int) -> None:
-    for row in range(len(state)):
-        total = 0.0
-        for variable in range(4):
-            total += abs(state[row, variable])
-        wobble[row, place] = total
 
 
 @njit(cache=True)

@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from neatq_envs.arena import Arena
+from neatq_envs.row_env import row_seeds
 from neatq_envs.scenario import Scenario
 from neatq_envs.scenario_file import find_scenario
 from neatq_envs.sensors import SCHEMAS
@@ -158,7 +159,7 @@ class RobotVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         Returns:
             Observations of all rows, float32 [rows, observations], and information.
         """
-        seeds, mask = self._row_seeds(seed), self._mask(options)
+        seeds, mask = row_seeds(seed, self.num_envs), self._mask(options)
         self._arena = renewed(self._arena, self.scenario, mask, seeds, self.np_random)
         return self._arena.observation[:, 0], self._info()
 
@@ -171,15 +172,6 @@ class RobotVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         truncated = arena.truncated[:, 0]
         ends = np.zeros_like(truncated), truncated
         return arena.observation[:, 0], arena.reward[:, 0], *ends, self._info()
-
-    def _row_seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
-        if seed is None:
-            return [None] * self.num_envs
-        if isinstance(seed, int | np.integer):
-            return range(int(seed), int(seed) + self.num_envs)
-        if len(seed) != self.num_envs:
-            raise ValueError(f"seed: expected one for each of {self.num_envs} rows, got {seed}")
-        return seed
 
     def _mask(self, options: dict[str, Any] | None) -> np.ndarray:
         mask = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool))

@@ -115,7 +115,7 @@ class RowVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         Returns:
             Observations of all rows, float32 [rows, observations], and an empty dictionary.
         """
-        seeds, mask = self._seeds(seed), self._mask(options)
+        seeds, mask = row_seeds(seed, self.num_envs), self._mask(options)
         starts = {row: self._begin(row, seeds[row]) for row in np.flatnonzero(mask).tolist()}
         if len(starts) == self.num_envs:
             self._state = np.stack(list(starts.values()))
@@ -153,17 +153,6 @@ class RowVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._generators[row] = seeding.np_random(int(seed))[0]
         return self._task.start(self._generators[row])
 
-    def _seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
-        if seed is None:
-            return [None] * self.num_envs
-        if isinstance(seed, int):
-            return range(seed, seed + self.num_envs)
-        if len(seed) != self.num_envs:
-            raise ValueError(
-                f"seed: expected one for each of {self.num_envs} rows, got {len(seed)}"
-            )
-        return seed
-
     def _mask(self, options: dict[str, Any] | None) -> np.ndarray:
         mask = (options or {}).get("reset_mask")
         if mask is None:
@@ -175,3 +164,14 @@ class RowVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if len(self._state) == 0:
             raise ValueError("reset_mask: the first reset must be of all rows; leave the mask out")
         return mask
+
+
+def row_seeds(seed: int | Sequence[int | None] | None, rows: int) -> Sequence[int | None]:
+    """Return one seed for each row: a number s means s, s + 1, and so on."""
+    if seed is None:
+        return [None] * rows
+    if isinstance(seed, int | np.integer):
+        return range(int(seed), int(seed) + rows)
+    if len(seed) != rows:
+        raise ValueError(f"seed: expected one for each of {rows} rows, got {len(seed)}")
+    return seed

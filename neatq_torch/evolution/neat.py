@@ -12,6 +12,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from neatq_torch.evolution.chance import generator_from
 from neatq_torch.evolution.generation import breeders, judged, offspring_counts, shared_fitness
 from neatq_torch.evolution.reproduction import NEAT_2002, Parent, ReproductionConfig, offspring
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
@@ -346,9 +347,7 @@ class NEAT:
     def from_state(cls, config: NEATConfig, state: Mapping[str, Any]) -> Self:
         """Return a population that continues bit for bit where `state_dict` was taken."""
         genomes = unpack_genomes(state["genomes"])
-        bits = getattr(np.random, state["rng"]["bit_generator"])()
-        bits.state = state["rng"]
-        rng = np.random.Generator(bits)
+        rng = generator_from(state["rng"])
         ledger = InnovationLedger.from_state(state["ledger"])
         population = cls(config, genomes, rng, ledger, state["next_genome_id"])
         population.speciation = Speciation.from_state(

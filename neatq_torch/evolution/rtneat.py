@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from neatq_torch.evolution.chance import generator_from
 from neatq_torch.evolution.eligibility import interval_ticks, intervals_until
 from neatq_torch.evolution.reproduction import OPENNERO, Parent, ReproductionConfig, offspring
 from neatq_torch.evolution.selection import choose_parents, worst
@@ -259,10 +260,8 @@ class RtNEAT:
     def from_state(cls, config: RtNEATConfig, state: Mapping[str, Any]) -> Self:
         """Return a population that continues bit for bit where `state_dict` was taken."""
         genomes = unpack_genomes(state["genomes"])
-        bits = getattr(np.random, state["rng"]["bit_generator"])()
-        bits.state = state["rng"]
         ledger = InnovationLedger.from_state(state["ledger"])
-        rng = np.random.Generator(bits)
+        rng = generator_from(state["rng"])
         population = cls(config, genomes, rng, ledger, state["next_genome_id"])
         population.speciation = Speciation.from_state(
             config.species, config.reproduction.distance, state["speciation"]

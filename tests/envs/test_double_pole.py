@@ -15,9 +15,9 @@ from neatq_envs.double_pole import (
     failed,
     generalisation_starts,
     observe,
-    record_wobble,
     start,
     step,
+    unrest,
 )
 
 CART = 1.0
@@ -194,7 +194,7 @@ def test_fitness_without_velocities() -> None:
     wobble = np.zeros((2, 100))
     for number in range(250):
         state = np.array([[number / 4, -number / 4, number / 4, -number / 4, 7, 7]] * 2)
-        record_wobble(wobble, state, number)
+        wobble[:, number % 100] = unrest(state)
     fitness = damping_fitness(np.array([250, 99]), wobble)
     assert fitness[0] == pytest.approx(0.1 * 0.25 + 0.9 * 0.75 / 19_950)
     assert fitness[1] == pytest.approx(0.1 * 0.099)  # fewer than 100 steps: f2 counts nothing

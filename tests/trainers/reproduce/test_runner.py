@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from neatq_trainers.config import ConfigError
 from neatq_trainers.reproduce import command
 from neatq_trainers.reproduce.experiment import (
     Experiment,
@@ -123,3 +124,14 @@ def test_every_experiment_has_a_name_of_its_own_and_fewer_quick_seeds() -> None:
     names = [one.name for one in command.EXPERIMENTS]
     assert len(set(names)) == len(names)
     assert all(1 <= one.quick_seeds <= one.seeds for one in command.EXPERIMENTS)
+
+
+def test_some_arms_can_be_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "EXPERIMENTS", (SQUARES,))
+    asked = {"name": "squares", "seeds": 1, "jobs": 1, "out": tmp_path}
+    command.run_command(command.ReproduceCommand(**asked, arms=("b",)))
+    assert capsys.readouterr().out == "b 0\n"
+    with pytest.raises(ConfigError, match="arms: expected some of a, b; got 'c'"):
+        command.run_command(command.ReproduceCommand(**asked, arms=("c",)))

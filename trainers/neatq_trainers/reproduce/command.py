@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
@@ -35,6 +35,8 @@ class ReproduceCommand:
     """Run a small part only, with fewer seeds: minutes instead of hours."""
     seeds: int | None = None
     """Seeds 0, 1, ... of each arm. Default: as many as the documentation's table has."""
+    arms: tuple[str, ...] | None = None
+    """Which of the experiment's arms. Default: all."""
     jobs: int | None = None
     """Processes; the results do not depend on it. Default: one for each core."""
     out: Path = Path("runs/reproduce")
@@ -52,12 +54,12 @@ def run_command(command: ReproduceCommand) -> None:
     """Do what the command asks for, and print the table.
 
     Raises:
-        ConfigError: If there is no such experiment.
+        ConfigError: If there is no such experiment or arm.
     """
     if command.name == "list":
         print(overview(), end="")
         return
-    experiment = find(command.name)
+    experiment = _with_arms(find(command.name), command.arms)
     planned = experiment.quick_seeds if command.quick else experiment.seeds
     seeds = planned if command.seeds is None else command.seeds
     jobs = usable_cores() if command.jobs is None else command.jobs
@@ -72,6 +74,13 @@ def find(name: str) -> Experiment:
             return experiment
     known = ", ".join(experiment.name for experiment in EXPERIMENTS)
     raise ConfigError(f"reproduce: expected list or one of {known}; got {name!r}")
+
+
+def _with_arms(experiment: Experiment, arms: tuple[str, ...] | None) -> Experiment:
+    for arm in arms or ():
+        if arm not in experiment.arms:
+            raise ConfigError(f"arms: expected some of {', '.join(experiment.arms)}; got {arm!r}")
+    return experiment if arms is None else replace(experiment, arms=arms)
 
 
 def overview() -> str:

@@ -28,6 +28,7 @@ from neatq_envs.double_pole import (
     observe,
     start,
     step,
+    unrest,
 )
 from neatq_torch.evolution import NEAT, NEAT_2002, NEATConfig, SpeciesConfig
 from neatq_torch.genome import DistanceConfig, Genome, NodeKind
@@ -222,8 +223,8 @@ def balance(
         state: float64 [rows, 6], where they start; written.
         limit: most actions.
         velocities: whether networks see them.
-        wobble: float64 [rows, 100] zeros, to be filled with how far a row is from rest after
-            each of its last 100 actions, as `record_wobble` does it.
+        wobble: float64 [rows, 100] zeros, to be filled with a row's `unrest` after each of its
+            last 100 actions.
 
     Returns:
         How many actions each survived, int64 [rows].
@@ -247,7 +248,7 @@ def balance(
             break
         survived[rows[alive]] += 1
         if wobble is not None:
-            wobble[rows[alive], action % WOBBLE_STEPS] = np.abs(state[alive, :4]).sum(1)
+            wobble[rows[alive], action % WOBBLE_STEPS] = unrest(state[alive])
     return survived
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from neatq_envs.server_jobs import (
     best_returns,
     greedy_policy,
+    oldest_policy,
     ordered_policy,
     play,
     random_policy,
@@ -138,6 +139,7 @@ def server_jobs_table(results: Results) -> str:
     """Ours beside policies that do not learn, as Markdown."""
     seeds = range(300)
     known = {
+        "oldest first": play(oldest_policy, seeds),
         "random": play(random_policy(np.random.default_rng(0)), seeds),
         "greedy": play(greedy_policy, seeds),
         "most urgent first": play(urgent_policy, seeds),
@@ -197,38 +199,39 @@ def draw(results: Results) -> Figure:
     return figure
 
 
-EXPERIMENTS = (
-    Experiment(
-        name="mountain-car",
-        summary="NEAT+Q, NEAT and Q-learning on the mountain car (Whiteson & Stone 2006)",
-        arms=ARMS,
+def _experiment(name: str, summary: str, arms: tuple[str, ...], **parts: Any) -> Experiment:
+    return Experiment(
+        name=name,
+        summary=summary,
+        arms=arms,
         seeds=10,
         quick_seeds=2,
         batch=5,
+        figure=draw,
+        **parts,
+    )
+
+
+EXPERIMENTS = (
+    _experiment(
+        "mountain-car",
+        "NEAT+Q, NEAT and Q-learning on the mountain car (Whiteson & Stone 2006)",
+        ARMS,
         run=drive,
         table=mountain_car_table,
-        figure=draw,
     ),
-    Experiment(
-        name="server-jobs",
-        summary="NEAT+Q, NEAT and Q-learning on server job scheduling (Whiteson & Stone 2006)",
-        arms=ARMS,
-        seeds=10,
-        quick_seeds=2,
-        batch=5,
+    _experiment(
+        "server-jobs",
+        "NEAT+Q, NEAT and Q-learning on server job scheduling (Whiteson & Stone 2006)",
+        ARMS,
         run=schedule,
         table=server_jobs_table,
-        figure=draw,
     ),
-    Experiment(
-        name="pretraining",
-        summary="NEAT+Q with and without off-line pre-training (Whiteson & Stone 2006b)",
-        arms=tuple(PRETRAINING_ARMS),
-        seeds=10,
-        quick_seeds=2,
-        batch=5,
+    _experiment(
+        "pretraining",
+        "NEAT+Q with and without off-line pre-training (Whiteson & Stone 2006b)",
+        tuple(PRETRAINING_ARMS),
         run=pretrain,
         table=pretraining_table,
-        figure=draw,
     ),
 )
