@@ -208,28 +208,36 @@ class DoublePoleVectorEnv(RowVectorEnv):
 
 
 @njit(cache=True)
+def step_row(state: np.ndarray, output: float) -> bool:
+    """Do what `step` does with one row [6], for loops that are compiled themselves."""
+    force = (output - 0.5) * FORCE_N
+    y = (state[0], state[1], state[2], state[3], state[4], state[5])
+    for _ in range(STEPS_PER_ACTION):
+        y = _runge_kutta(y, force)
+    for variable in range(6):
+        state[variable] = y[variable]
+    return _alive_row(state)
+
+
+@njit(cache=True)
+def _alive_row(state: np.ndarray) -> bool:
+    return abs(state[0]) <= TRACK_M and abs(state[2]) <= FALLEN_RAD and abs(state[4]) <= FALLEN_RAD
+
+
+@njit(cache=True)
 def _alive(state: np.ndarray) -> np.ndarray:
     alive = np.empty(len(state), dtype=np.bool_)
     for row in range(len(state)):
-        alive[row] = (
-            abs(state[row, 0]) <= TRACK_M
-            and abs(state[row, 2]) <= FALLEN_RAD
-            and abs(state[row, 4]) <= FALLEN_RAD
-        )
+        alive[row] = _alive_row(state[row])
     return alive
 
 
 @njit(cache=True)
 def _step(state: np.ndarray, output: np.ndarray) -> np.ndarray:
+    alive = np.empty(len(state), dtype=np.bool_)
     for row in range(len(state)):
-        force = (output[row] - 0.5) * FORCE_N
-        now = state[row]
-        y = (now[0], now[1], now[2], now[3], now[4], now[5])
-        for _ in range(STEPS_PER_ACTION):
-            y = _runge_kutta(y, force)
-        for variable in range(6):
-            state[row, variable] = y[variable]
-    return _alive(state)
+        alive[row] = step_row(state[row], output[row])
+    return alive
 
 
 @njit(cache=True)

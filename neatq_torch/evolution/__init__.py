@@ -3,6 +3,7 @@
 from neatq_torch.evolution.eligibility import interval_ticks, intervals_until
 from neatq_torch.evolution.neat import NEAT, NEATConfig
 from neatq_torch.evolution.reproduction import (
+    AS_WRITTEN,
     NEAT_2002,
     OPENNERO,
     Parent,
@@ -15,6 +16,7 @@ from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
 from neatq_torch.evolution.trials import Trials, relative_fitness, z_scores
 
 __all__ = [
+    "AS_WRITTEN",
     "NEAT",
     "NEAT_2002",
     "OPENNERO",

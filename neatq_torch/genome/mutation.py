@@ -51,7 +51,7 @@ def mutated_weights(
     links = weights.size
     shift = rng.uniform(-config.weight_mutation_power, config.weight_mutation_power, links)
     choice = rng.random(links)
-    if config.weight_scheme == "neat2002":
+    if config.weight_scheme == "uniform":
         old = young = (0.0, config.weight_replace_prob)
     else:
         old, young = _opennero_shares(links, severe=rng.random() < 0.5)

@@ -9,7 +9,7 @@ import numpy as np
 
 from neatq_torch.genome.vocabulary import activation_index
 
-WeightScheme = Literal["opennero", "neat2002"]
+WeightScheme = Literal["opennero", "uniform"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,10 +23,11 @@ class MutationConfig:
         add_node_prob: probability of a new node.
         add_link_prob: probability of a new link where there is no new node.
         link_weights_prob: probability of new weights where the structure stays.
-        weight_scheme: "opennero", severe or by age of the gene (see `mutated_weights`);
-            "neat2002", each weight is perturbed or, with `weight_replace_prob`, new.
+        weight_scheme: "opennero", severe or by age of the gene (see `mutated_weights`), as in the
+            programs of OpenNERO and of NEAT's authors; "uniform", each weight is perturbed or, with
+            `weight_replace_prob`, new, as NEAT's paper says.
         weight_mutation_power: weights change by U(-power, power).
-        weight_replace_prob: share of new weights in the scheme "neat2002".
+        weight_replace_prob: share of new weights in the scheme "uniform".
         max_link_weight: mutated weights are capped to this size; None for no cap.
         new_link_weight_power: weights of new links are U(-power, power).
         recurrent_link_prob: share of link mutations that must find a recurrent link.
@@ -78,9 +79,9 @@ class MutationConfig:
             raise ValueError(
                 f"max_link_weight must be positive, or None for no cap, not {self.max_link_weight}."
             )
-        if self.weight_scheme not in ("opennero", "neat2002"):
+        if self.weight_scheme not in ("opennero", "uniform"):
             raise ValueError(
-                f"weight_scheme must be 'opennero' or 'neat2002', not {self.weight_scheme!r}."
+                f"weight_scheme must be 'opennero' or 'uniform', not {self.weight_scheme!r}."
             )
         if not np.isfinite(self.split_weight_scale):
             raise ValueError(f"split_weight_scale must be finite, not {self.split_weight_scale}.")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from neatq_torch.evolution import (
+    AS_WRITTEN,
     NEAT_2002,
     OPENNERO,
     Parent,
@@ -60,11 +61,13 @@ def test_openneros_preset_has_the_values_of_its_parameter_file() -> None:
 def test_the_preset_of_2002_has_the_values_of_the_paper() -> None:
     mutation = NEAT_2002.mutation
     assert (mutation.add_node_prob, mutation.add_link_prob) == (0.03, 0.05)
-    assert (mutation.link_weights_prob, mutation.weight_replace_prob) == (0.8, 0.1)
-    assert (mutation.weight_scheme, mutation.split_weight_scale) == ("neat2002", 1.0)
+    assert mutation.split_weight_scale == 1.0
     assert mutation.hidden_activation == "steep_sigmoid"
     assert (NEAT_2002.mutate_only_prob, NEAT_2002.interspecies_mate_prob) == (0.25, 0.001)
     assert NEAT_2002.crossover == CrossoverConfig(keep_all_genes=False, copy_disabled=True)
+    written = AS_WRITTEN.mutation
+    assert (written.link_weights_prob, written.weight_replace_prob) == (0.8, 0.1)
+    assert written.weight_scheme == "uniform"
 
 
 def test_a_single_parent_has_a_mutated_copy() -> None:

@@ -56,12 +56,12 @@ def test_a_genome_of_less_than_ten_genes_has_no_tail() -> None:
 
 
 def test_neat_2002_moves_90_percent_and_renews_10_percent() -> None:
-    config = MutationConfig(weight_scheme="neat2002", max_link_weight=None)
+    config = MutationConfig(weight_scheme="uniform", max_link_weight=None)
     assert rates(shares(config, 20)) == pytest.approx([0.0, 0.9, 0.1], abs=0.01)
 
 
 def test_weights_move_uniformly_within_the_power_and_are_capped() -> None:
-    config = MutationConfig(weight_scheme="neat2002", weight_replace_prob=0.0)
+    config = MutationConfig(weight_scheme="uniform", weight_replace_prob=0.0)
     rng = np.random.default_rng(0)
     moved = mutated_weights(np.zeros(20_000, dtype=np.float32), config, rng)
     assert np.abs(moved).max() <= 0.5

@@ -12,15 +12,15 @@ import torch
 
 from neatq_envs.double_pole import PAPER_START_RAD, damping_fitness, observe, start, step
 from neatq_torch.evolution import NEAT_2002, NEATConfig
-from neatq_torch.genome import Genome, InnovationLedger, initial_genome, mutate
+from neatq_torch.genome import Genome, InnovationLedger, NodeKind, initial_genome, mutate
 from neatq_torch.network import PopulationNetwork
 from neatq_trainers.reproduce import double_pole
+from neatq_trainers.reproduce.balance import BIAS, balance
 from neatq_trainers.reproduce.double_pole import (
     EXPERIMENTS,
     PUBLISHED,
     SETTINGS,
     Setting,
-    balance,
     run,
     solve,
     table,
@@ -46,20 +46,21 @@ def some_genomes(rows: int, inputs: int, recurrent: float = 0.0) -> list[Genome]
 @torch.no_grad()
 def one_by_one(genome: Genome, limit: int, velocities: bool) -> tuple[int, list[float]]:
     """Steps that a network alone survives, and how far from rest it was after each."""
-    network = PopulationNetwork([genome], evaluation="synchronous")
+    weights = genome.link_weight.copy()
+    weights[genome.link_source == genome.node_id[genome.node_kind == NodeKind.BIAS]] *= BIAS
+    network = PopulationNetwork([genome.with_weights(weights)], evaluation="synchronous").double()
     state, memory = start(1, PAPER_START_RAD), network.initial_state()
     unrest: list[float] = []
     for _ in range(limit):
-        seen = torch.from_numpy(observe(state, velocities).astype(np.float32))
-        output, memory = network.step(seen, memory)
-        if not step(state, output[:, 0].numpy().astype(np.float64))[0]:
+        output, memory = network.step(torch.from_numpy(observe(state, velocities)), memory)
+        if not step(state, output[:, 0].numpy())[0]:
             break
         unrest.append(float(np.abs(state[0, :4]).sum()))
     return len(unrest), unrest
 
 
 @pytest.mark.parametrize("velocities", [True, False])
-def test_leaving_the_fallen_behind_changes_nothing(velocities: bool) -> None:
+def test_the_compiled_loop_is_the_synchronous_network(velocities: bool) -> None:
     genomes = some_genomes(40, 6 if velocities else 3, recurrent=0.5)
     wobble = np.zeros((40, 100))
     state = start(40, PAPER_START_RAD)
@@ -71,13 +72,15 @@ def test_leaving_the_fallen_behind_changes_nothing(velocities: bool) -> None:
     assert wobble.sum(1) == pytest.approx(unrest)
 
 
-def test_a_limit_ends_what_would_balance_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    def upright(state: np.ndarray, output: np.ndarray) -> np.ndarray:
-        return np.ones(len(state), bool)
+def test_a_limit_ends_what_would_balance_on() -> None:
+    assert balance(some_genomes(3, 6), start(3, PAPER_START_RAD), 3).tolist() == [3] * 3
 
-    monkeypatch.setattr(double_pole, "step", upright)
-    genomes = some_genomes(3, 6)
-    assert balance(genomes, start(3, PAPER_START_RAD), 25).tolist() == [25] * 3
+
+def test_other_activations_are_refused() -> None:
+    rng = np.random.default_rng(1)
+    genome = initial_genome(6, 1, rng=rng, activation="tanh", genome_id=4)
+    with pytest.raises(ValueError, match="genome 4: expected steep sigmoids"):
+        balance([genome], start(1), 3)
 
 
 def test_balancing_is_learned_and_the_same_seed_gives_the_same_run(
