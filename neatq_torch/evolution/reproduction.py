@@ -80,8 +80,8 @@ AS_WRITTEN = replace(
     NEAT_2002,
     mutation=replace(NEAT_2002.mutation, weight_scheme="uniform", link_weights_prob=0.8),
 )
-"""`NEAT_2002` with weights that mutate as the paper says: all weights of 80 % of the offspring, nine of
-ten perturbed and the others new. Some runs of double pole balancing then get lost."""
+"""`NEAT_2002` with weights that mutate as the paper says: those of 80 % of the offspring, nine
+of ten perturbed and the others new. Some runs of double pole balancing then get lost."""
 
 
 class Parent(NamedTuple):
