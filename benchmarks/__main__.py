@@ -7,11 +7,14 @@ import sys
 import time
 from collections.abc import Iterator
 
+import torch
+
 from benchmarks import (
     arenas,
     breeding,
     crowd,
     forward,
+    gpu,
     learning,
     memory,
     replacement,
@@ -32,6 +35,7 @@ ROWS = {
     "arenas": arenas,
     "crowd": crowd,
     "memory": memory,
+    "gpu": gpu,
 }
 LONG = "million ticks"
 """The row that `--ticks` adds. Its last result stays on the page."""
@@ -74,10 +78,15 @@ def _found(arguments: argparse.Namespace) -> Iterator[tuple[str, list[Line]]]:
     if arguments.ticks:
         yield LONG, memory.run_long(arguments.ticks)
     elif not arguments.draw:
-        for row in arguments.rows or ROWS:
+        for row in arguments.rows or _possible():
             begin = time.perf_counter()
             yield row, in_fresh_process(ROWS[row].run, arguments.quick)
             print(f"{row}: {time.perf_counter() - begin:.0f} s", file=sys.stderr)
+
+
+def _possible() -> list[str]:
+    """All rows, without that of a GPU where there is none: its last result stays on the page."""
+    return [row for row in ROWS if row != "gpu" or torch.cuda.is_available()]
 
 
 def _write(records: Records) -> None:

@@ -9,6 +9,8 @@ from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+import torch
+
 PACKAGES = ("torch", "torchrl", "numpy", "numba", "pymunk", "neat-python", "multineat")
 
 
@@ -18,6 +20,7 @@ def environment() -> dict[str, str]:
         "date": date.today().isoformat(),
         "CPU": _cpu(),
         "cores": str(os.cpu_count()),
+        "GPU": torch.cuda.get_device_name() if torch.cuda.is_available() else "none",
         "system": f"{platform.system()} {platform.machine()}",
         "Python": platform.python_version(),
         **{name: _version(name) for name in PACKAGES},
