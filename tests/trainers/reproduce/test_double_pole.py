@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import torch
 
 from neatq_envs.double_pole import PAPER_START_RAD, damping_fitness, observe, start, step
-from neatq_torch.evolution import NEAT_2002, NEATConfig
+from neatq_torch.evolution import NEAT_2002, NEATConfig, Species
 from neatq_torch.genome import Genome, InnovationLedger, NodeKind, initial_genome, mutate
 from neatq_torch.network import PopulationNetwork
 from neatq_trainers.reproduce import double_pole
@@ -123,12 +124,37 @@ def test_without_velocities_a_winner_must_balance_long_and_from_200_starts(
         return np.array([900 + (one.genome_id == 1) + 2 * (one.genome_id > 60) for one in genomes])
 
     monkeypatch.setattr(double_pole, "balance", pretend)
-    setting = Setting(config=NEATConfig(elite_members=1000), population=19, velocities=False)
+    config = NEATConfig(speciate=False, elite_members=1000)
+    setting = Setting(config=config, population=19, velocities=False)
     result = solve(setting, 0, generations=50)
     assert result["solved"] and result["starts"] == 200
     assert result["evaluations"] == 19 * result["generations"]
     # A network that did not generalise is not tested twice, though it is the fittest again.
     assert calls.count((625, 1000)) == 2 and calls.count((1, 100_000)) == 2
+
+
+def test_without_velocities_the_best_of_a_species_is_tested_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    genomes = some_genomes(4, 3)
+    species = [Species(1, np.array([0, 1])), Species(2, np.array([2, 3]))]
+    population: Any = SimpleNamespace(genomes=genomes, species=species)
+    fitness, tested = np.array([5.0, 9.0, 7.0, 6.0]), []
+
+    def pretend(some: list[Genome], state: np.ndarray, limit: int, **rest: Any) -> np.ndarray:
+        if len(some) == 1:
+            tested.append(genomes.index(some[0]))
+        return np.zeros(len(some), int)
+
+    monkeypatch.setattr(double_pole, "balance", pretend)
+    monkeypatch.setattr(double_pole, "damping_fitness", lambda steps, wobble: fitness)
+    judge = double_pole._WithoutVelocities(PAPER_START_RAD)
+    for _ in range(3):
+        assert judge(population)[1] is None
+    assert tested == [1, 2]
+    fitness[3] = 7.5
+    judge(population)
+    assert tested == [1, 2, 3]
 
 
 def test_fitness_without_velocities_rewards_calm() -> None:

@@ -58,7 +58,7 @@ CHALLENGES = {
     ),
     "LunarLander-v3, continuous": Challenge(
         "gym:LunarLander-v3",
-        60,
+        30,
         200.0,
         "random -197; TQC 278, PPO 271, SAC 260, TD3 207",
         ("continuous=true",),

@@ -64,7 +64,7 @@ class Budget(NamedTuple):
 
 MOUNTAIN_CAR = Budget("gym:neatq/MountainCar-v0", 10, 100, 1000, ("max_episode_steps=500",))
 FEW_EPISODES = MOUNTAIN_CAR._replace(episodes=2)
-SERVER_JOBS = Budget("gym:neatq/ServerJobs-v0", 10, 50, 300)
+SERVER_JOBS = Budget("gym:neatq/ServerJobs-v0", 4, 50, 300)
 
 
 def config(budget: Budget, arm: str, *, quick: bool) -> GenerationalConfig:
