@@ -88,10 +88,11 @@ def test_balancing_is_learned_and_the_same_seed_gives_the_same_run(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(double_pole, "SOLVED_STEPS", 300)
-    first = solve(SETTINGS["full"], 6, generations=20)
+    setting = replace(SETTINGS["full"], generations=20)
+    first = solve(setting, 6)
     assert first["solved"]
     assert 150 * (first["generations"] - 1) < first["evaluations"] <= 150 * first["generations"]
-    assert solve(SETTINGS["full"], 6, generations=20) == first
+    assert solve(setting, 6) == first
 
 
 def test_champions_that_live_on_are_not_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,7 +103,7 @@ def test_champions_that_live_on_are_not_simulated_again(monkeypatch: pytest.Monk
         return np.array([one.genome_id % 7 for one in genomes])
 
     monkeypatch.setattr(double_pole, "balance", counted)
-    result = solve(Setting(population=20), 0, generations=6)
+    result = solve(Setting(population=20, generations=6), 0)
     assert not result["solved"]
     assert len(simulated) == len(set(simulated)) < 20 * 6
 
@@ -125,8 +126,8 @@ def test_without_velocities_a_winner_must_balance_long_and_from_200_starts(
 
     monkeypatch.setattr(double_pole, "balance", pretend)
     config = NEATConfig(speciate=False, elite_members=1000)
-    setting = Setting(config=config, population=19, velocities=False)
-    result = solve(setting, 0, generations=50)
+    setting = Setting(config=config, population=19, velocities=False, generations=50)
+    result = solve(setting, 0)
     assert result["solved"] and result["starts"] == 200
     assert result["evaluations"] == 19 * result["generations"]
     # A network that did not generalise is not tested twice, though it is the fittest again.
@@ -166,7 +167,7 @@ def test_fitness_without_velocities_rewards_calm() -> None:
 def test_every_arm_runs(arm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     setting = replace(SETTINGS[arm], population=12)
     monkeypatch.setitem(SETTINGS, arm, setting)
-    monkeypatch.setattr(double_pole, "GENERATIONS", 2)
+    monkeypatch.setattr(double_pole, "QUICK_GENERATIONS", 2)
     (result,) = run(Task(arm, (0,), True, tmp_path))
     assert set(result) == {"solved", "evaluations", "generations", "hidden", "links", "starts"}
     assert arm in table({arm: [result, result]})
