@@ -7,6 +7,7 @@ from neatq_torch.learning.inheritance import Heirs, Inheritance, write_back
 from neatq_torch.learning.learner import Learner, LearnerConfig, NoLearning, TDLearner
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.replay import PRETRAINING, TransitionMemory, pretrain
+from neatq_torch.learning.shared_replay import ReplayConfig, ReplayLearner
 from neatq_torch.learning.table import QTable, TableLearner, TablePolicy
 from neatq_torch.learning.traces import TraceConfig, TraceLearner
 from neatq_torch.learning.wire_fitting import WireFittingLoss, wire_fit
@@ -26,6 +27,8 @@ __all__ = [
     "LearnerConfig",
     "NoLearning",
     "QTable",
+    "ReplayConfig",
+    "ReplayLearner",
     "TDLearner",
     "TableLearner",
     "TablePolicy",

@@ -165,7 +165,7 @@ def pretrain(
             memory.sample(batch, generator)
             for memory, generator in zip(memories, generators, strict=True)
         ]
-        error = learner.update(_for_all(network, drawn, rows))
+        error = learner.update(for_all(network, drawn, rows))
     return error
 
 
@@ -192,10 +192,16 @@ def _check(
         )
 
 
-def _for_all(
+def for_all(
     network: PopulationNetwork, drawn: Sequence[TensorDictBase], rows: Sequence[int]
 ) -> TensorDict:
-    """A minibatch [size] of each memory as transitions [arenas, robots, size] of every network."""
+    """A minibatch [size] of each memory as transitions [arenas, robots, size] of every network.
+
+    Args:
+        network: Whose transitions they become, of shape [arenas, robots].
+        drawn: What was drawn from each memory.
+        rows: From which memory the robots of each arena learn [arenas].
+    """
     shape = (*network.shape, len(drawn[0]))
 
     def spread(name: str | tuple[str, str]) -> Tensor:

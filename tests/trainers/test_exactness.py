@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neatq_torch.learning import ReplayConfig
 from neatq_trainers.build import build
 from neatq_trainers.cli import main
 from neatq_trainers.config import RunConfig
@@ -24,7 +25,7 @@ from neatq_trainers.run_folder import CHECKPOINT, CONFIG, METRICS, RunFolder
 from neatq_trainers.train import resume, start
 
 ARMS = ("rtneat", "committed", "described", "neatq", "qlearning")
-CASES = (*ARMS, "neatq with target parameters", "neatq with wire fitting")
+CASES = (*ARMS, "neatq with target parameters", "neatq with wire fitting", "neatq with replay")
 LONG_TICKS = 4000
 """A run that takes seconds, so that a signal meets it on its way."""
 State = dict[str, Any]
@@ -41,6 +42,10 @@ def config_of(tiny: Callable[..., RunConfig]) -> Callable[[str], RunConfig]:
             config = replace(config, learning=replace(config.learning, step=step))
         if case.endswith("wire fitting"):
             learning = replace(config.learning, rule="wire_fitting", trace_decay=0.5)
+            config = replace(config, learning=learning)
+        if case.endswith("replay"):
+            replay = ReplayConfig(updates=2, newborn_updates=3, size=16, capacity=300)
+            learning = replace(config.learning, rule="wire_fitting", replay=replay)
             config = replace(config, learning=learning)
         return config
 

@@ -22,15 +22,16 @@ from neatq_torch.learning import (
     Learner,
     NoLearning,
     QTable,
+    ReplayLearner,
     TableLearner,
     TablePolicy,
     TDLearner,
     WireFittingLoss,
 )
 from neatq_torch.network import PopulationNetwork
-from neatq_trainers.config import RunConfig
+from neatq_trainers.config import LearningConfig, RunConfig
 
-EVOLUTION_STREAM = 1
+EVOLUTION_STREAM, REPLAY_STREAM = 1, 2
 
 
 class Policy(Protocol):
@@ -163,6 +164,26 @@ def _learner(config: RunConfig, network: PopulationNetwork, heads: CandidateHead
     learning = config.learning
     if learning.rule == "none":
         return NoLearning(network)
+    loss = _loss(learning, network, heads)
+    learner = TDLearner(network, loss, learning.step)
+    if not learning.replay.updates:
+        return learner
+    return ReplayLearner(
+        learner,
+        lambda young: _loss(learning, young, heads),  # pyright: ignore[reportArgumentType]
+        learning.replay,
+        learning.step,
+        [_replay_seed(seed) for seed in _seeds(config)],
+    )
+
+
+def _replay_seed(seed: int) -> int:
+    return int(np.random.SeedSequence([seed, REPLAY_STREAM]).generate_state(1)[0])
+
+
+def _loss(
+    learning: LearningConfig, network: PopulationNetwork, heads: CandidateHeads
+) -> CandidateTDLoss:
     wires = learning.rule == "wire_fitting"
     loss = (WireFittingLoss if wires else CandidateTDLoss)(
         CandidateValue(network, heads, propose=wires),
@@ -175,7 +196,7 @@ def _learner(config: RunConfig, network: PopulationNetwork, heads: CandidateHead
         loss.make_value_estimator(ValueEstimators.TDLambda, gamma=learning.discount, **decay)
     else:
         loss.make_value_estimator(ValueEstimators.TD0, gamma=learning.discount)
-    return TDLearner(network, loss, learning.step)
+    return loss
 
 
 def _founders(config: RunConfig, env: ArenaEnv, outputs: int, seed: int) -> RtNEAT:

@@ -14,7 +14,7 @@ import msgspec
 from neatq_envs.scenario import TASKS, Scenario, load_scenario
 from neatq_torch.evolution import RtNEATConfig, interval_ticks
 from neatq_torch.genome import ACTIVATIONS
-from neatq_torch.learning import Inheritance, LearnerConfig
+from neatq_torch.learning import Inheritance, LearnerConfig, ReplayConfig
 from neatq_torch.network import Evaluation
 
 Arm = Literal["rtneat", "committed", "described", "neatq", "qlearning"]
@@ -74,6 +74,7 @@ class LearningConfig:
         epsilon: Probability of starting to explore, per tick.
         max_hold_ticks: Longest run of an explored candidate; 1 is plain epsilon-greedy.
         inheritance: lamarckian: what was learnt is written into the genome before it breeds.
+        replay: What is learnt from the past of all robots; needs the rule wire_fitting.
     """
 
     rule: Literal["none", "td", "wire_fitting", "table"] = "td"
@@ -84,6 +85,7 @@ class LearningConfig:
     epsilon: float = 0.1
     max_hold_ticks: int = 1
     inheritance: Inheritance = "lamarckian"
+    replay: ReplayConfig = field(default_factory=ReplayConfig)
 
     def __post_init__(self) -> None:
         """Check ranges."""
@@ -94,6 +96,12 @@ class LearningConfig:
         if self.max_hold_ticks < 1:
             raise ConfigError(
                 f"learning.max_hold_ticks: expected at least 1, got {self.max_hold_ticks}"
+            )
+        if self.replay.updates and self.rule != "wire_fitting":
+            raise ConfigError(
+                f"learning.replay.updates: expected 0 with learning.rule {self.rule}, got "
+                f"{self.replay.updates}; only wire_fitting knows what an action of another robot "
+                "is worth"
             )
 
 
