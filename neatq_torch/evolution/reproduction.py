@@ -71,7 +71,7 @@ NEAT_2002 = ReproductionConfig(
 The paper names neither the size of a weight mutation nor a cap: 2.5, the cap of 8 and the shares of
 the two crossovers are those of the authors' published code. Weights mutate as in that code, too,
 which is also OpenNERO's; `AS_WRITTEN` has the paper's words instead. Two more things are in the
-code only: small genomes split their old links first, without which XOR takes a third more
+code only: small genomes split their old links first, without which XOR takes nearly half more
 evaluations, and a gene that is copied disabled stays so. Recurrent links are off; a task that needs
 memory raises `recurrent_link_prob`.
 """

@@ -45,10 +45,12 @@ def some_genomes(rows: int, inputs: int, recurrent: float = 0.0) -> list[Genome]
 
 
 @torch.no_grad()
-def one_by_one(genome: Genome, limit: int, velocities: bool) -> tuple[int, list[float]]:
+def one_by_one(
+    genome: Genome, limit: int, velocities: bool, bias: float
+) -> tuple[int, list[float]]:
     """Steps that a network alone survives, and how far from rest it was after each."""
     weights = genome.link_weight.copy()
-    weights[genome.link_source == genome.node_id[genome.node_kind == NodeKind.BIAS]] *= BIAS
+    weights[genome.link_source == genome.node_id[genome.node_kind == NodeKind.BIAS]] *= bias
     network = PopulationNetwork([genome.with_weights(weights)], evaluation="synchronous").double()
     state, memory = start(1, PAPER_START_RAD), network.initial_state()
     unrest: list[float] = []
@@ -60,13 +62,13 @@ def one_by_one(genome: Genome, limit: int, velocities: bool) -> tuple[int, list[
     return len(unrest), unrest
 
 
-@pytest.mark.parametrize("velocities", [True, False])
-def test_the_compiled_loop_is_the_synchronous_network(velocities: bool) -> None:
+@pytest.mark.parametrize(("velocities", "bias"), [(True, 1.0), (False, BIAS)])
+def test_the_compiled_loop_is_the_synchronous_network(velocities: bool, bias: float) -> None:
     genomes = some_genomes(40, 6 if velocities else 3, recurrent=0.5)
     wobble = np.zeros((40, 100))
     state = start(40, PAPER_START_RAD)
-    steps = balance(genomes, state, 150, velocities=velocities, wobble=wobble)
-    alone = [one_by_one(genome, 150, velocities) for genome in genomes]
+    steps = balance(genomes, state, 150, velocities=velocities, wobble=wobble, bias=bias)
+    alone = [one_by_one(genome, 150, velocities, bias) for genome in genomes]
     assert steps.tolist() == [survived for survived, _ in alone]
     assert len(set(steps.tolist())) > 5
     unrest = [sum(history[-100:]) for _, history in alone]
@@ -149,7 +151,7 @@ def test_without_velocities_the_best_of_a_species_is_tested_once(
 
     monkeypatch.setattr(double_pole, "balance", pretend)
     monkeypatch.setattr(double_pole, "damping_fitness", lambda steps, wobble: fitness)
-    judge = double_pole._WithoutVelocities(PAPER_START_RAD)
+    judge = double_pole._WithoutVelocities(Setting(velocities=False))
     for _ in range(3):
         assert judge(population)[1] is None
     assert tested == [1, 2]

@@ -18,7 +18,7 @@ from neatq_envs.double_pole import PLACES, SCALES, WOBBLE_STEPS, step_row
 from neatq_torch.genome import ACTIVATIONS, Genome, NodeKind
 
 BIAS = 0.5
-"""What the bias node has, as in the authors' program; 1 makes the task half as hard again."""
+"""What the bias node has, as in the authors' program."""
 
 _STEEP_SIGMOID = ACTIVATIONS.index("steep_sigmoid")
 
@@ -66,6 +66,7 @@ def balance(
     *,
     velocities: bool = True,
     wobble: NDArray[np.float64] | None = None,
+    bias: float = BIAS,
 ) -> NDArray[np.int64]:
     """Let networks balance, each from its own start, until all have failed.
 
@@ -76,6 +77,7 @@ def balance(
         velocities: whether networks see them.
         wobble: float64 [rows, 100] zeros, to be filled with a row's `unrest` after each of its
             last 100 actions.
+        bias: what the bias node has.
 
     Returns:
         How many actions each survived, int64 [rows].
@@ -85,7 +87,7 @@ def balance(
         return survived
     seen = np.arange(6) if velocities else PLACES
     keep = np.zeros((len(state), WOBBLE_STEPS)) if wobble is None else wobble
-    _balance(networks_of(genomes), state, limit, seen, SCALES[seen], keep, survived)
+    _balance(networks_of(genomes), state, limit, bias, seen, SCALES[seen], keep, survived)
     return survived
 
 
@@ -95,16 +97,17 @@ def _balance(
     networks: Networks,
     state: NDArray[np.float64],
     limit: int,
+    bias: float,
     seen: NDArray[np.int64],
     scale: NDArray[np.float64],
     wobble: NDArray[np.float64],
     survived: NDArray[np.int64],
 ) -> None:
-    bias, output = len(seen), len(seen) + 1
+    output = len(seen) + 1
     for row in range(len(state)):
         now, nodes = state[row], networks.nodes[row]
         value, total = np.zeros(nodes), np.zeros(nodes)
-        value[bias] = BIAS
+        value[output - 1] = bias
         for action in range(limit):
             for i in range(len(seen)):
                 value[i] = now[seen[i]] / scale[i]

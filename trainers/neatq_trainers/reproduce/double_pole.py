@@ -31,7 +31,7 @@ from neatq_envs.double_pole import (
 )
 from neatq_torch.evolution import AS_WRITTEN, NEAT, NEAT_2002, NEATConfig, Species, SpeciesConfig
 from neatq_torch.genome import DistanceConfig, Genome, NodeKind
-from neatq_trainers.reproduce.balance import balance
+from neatq_trainers.reproduce.balance import BIAS, balance
 from neatq_trainers.reproduce.experiment import (
     Experiment,
     Result,
@@ -77,6 +77,7 @@ class Setting:
         population: number of genomes.
         velocities: whether networks see them.
         long_pole_rad: where the long pole starts.
+        bias: what the bias node has.
         generations: a run that has not solved the task by then has failed.
     """
 
@@ -84,6 +85,7 @@ class Setting:
     population: int = 150
     velocities: bool = True
     long_pole_rad: float = PAPER_START_RAD
+    bias: float = BIAS
     generations: int = 1_000
 
 
@@ -100,6 +102,7 @@ _BLIND = Setting(config=_HARD, population=1_000, velocities=False, generations=2
 SETTINGS = {
     "full": Setting(),
     "full-4-degrees": Setting(long_pole_rad=PROGRAM_START_RAD),
+    "bias-1": Setting(bias=1.0),
     "as-written": Setting(config=NEATConfig(reproduction=AS_WRITTEN)),
     "no-mating": Setting(config=NEATConfig(reproduction=replace(NEAT_2002, mutate_only_prob=1.0))),
     "random-start": Setting(config=NEATConfig(start="random")),
@@ -112,6 +115,7 @@ SETTINGS = {
 PUBLISHED = {
     "full": "3,600 ± 247 (120 runs), none failed; its program, run again: 3,223",
     "full-4-degrees": "",
+    "bias-1": "",
     "as-written": "",
     "no-mating": "5,557, none failed",
     "random-start": "23,033, 5 % failed",
@@ -140,7 +144,7 @@ def solve(setting: Setting, seed: int) -> Result:
         outputs=1,
         rng=np.random.default_rng(seed),
     )
-    judge = (_WithVelocities if setting.velocities else _WithoutVelocities)(setting.long_pole_rad)
+    judge = (_WithVelocities if setting.velocities else _WithoutVelocities)(setting)
     for generation in range(setting.generations):
         fitness, winner = judge(population)
         if winner is not None:
@@ -166,14 +170,15 @@ class _WithVelocities:
 
     starts: int | None = None
 
-    def __init__(self, long_pole_rad: float) -> None:
-        self._long_pole_rad = long_pole_rad
+    def __init__(self, setting: Setting) -> None:
+        self._setting = setting
         self._known: dict[int, float] = {}
 
     def __call__(self, population: NEAT) -> tuple[NDArray[np.float64], int | None]:
         genomes = population.genomes
         new = [one for one in genomes if one.genome_id not in self._known]
-        steps = balance(new, start(len(new), self._long_pole_rad), SOLVED_STEPS)
+        state = start(len(new), self._setting.long_pole_rad)
+        steps = balance(new, state, SOLVED_STEPS, bias=self._setting.bias)
         fresh = dict(zip((one.genome_id for one in new), steps.tolist(), strict=True))
         self._known = {one.genome_id: (self._known | fresh)[one.genome_id] for one in genomes}
         fitness = np.array(list(self._known.values()), np.float64)
@@ -186,15 +191,15 @@ class _WithoutVelocities:
 
     starts: int | None = None
 
-    def __init__(self, long_pole_rad: float) -> None:
-        self._long_pole_rad = long_pole_rad
+    def __init__(self, setting: Setting) -> None:
+        self._setting = setting
         self._tested: dict[int, float] = {}  # best fitness of a species that was tested
 
     def __call__(self, population: NEAT) -> tuple[NDArray[np.float64], int | None]:
         genomes = population.genomes
-        state = start(len(genomes), self._long_pole_rad)
+        state = start(len(genomes), self._setting.long_pole_rad)
         wobble = np.zeros((len(genomes), WOBBLE_STEPS))
-        steps = balance(genomes, state, TRIAL_STEPS, velocities=False, wobble=wobble)
+        steps = self._balance(genomes, state, TRIAL_STEPS, wobble)
         fitness = damping_fitness(steps, wobble)
         chosen = self._choose(population.species, fitness)
         if chosen is None or not self._wins(genomes[chosen]):
@@ -216,14 +221,23 @@ class _WithoutVelocities:
         return best[chosen]
 
     def _wins(self, genome: Genome) -> bool:
-        state = start(1, self._long_pole_rad)
-        if balance([genome], state, SOLVED_STEPS, velocities=False)[0] == SOLVED_STEPS:
-            states = generalisation_starts()
-            same = [genome] * len(states)
-            steps = balance(same, states, TRIAL_STEPS, velocities=False)
-            self.starts = int((steps == TRIAL_STEPS).sum())
-            return self.starts >= GENERAL_STARTS
-        return False
+        state = start(1, self._setting.long_pole_rad)
+        if self._balance([genome], state, SOLVED_STEPS)[0] < SOLVED_STEPS:
+            return False
+        states = generalisation_starts()
+        steps = self._balance([genome] * len(states), states, TRIAL_STEPS)
+        self.starts = int((steps == TRIAL_STEPS).sum())
+        return self.starts >= GENERAL_STARTS
+
+    def _balance(
+        self,
+        genomes: list[Genome],
+        state: NDArray[np.float64],
+        limit: int,
+        wobble: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.int64]:
+        bias = self._setting.bias
+        return balance(genomes, state, limit, velocities=False, wobble=wobble, bias=bias)
 
 
 def table(results: Results) -> str:
@@ -255,7 +269,7 @@ EXPERIMENTS = (
     _experiment(
         "double-pole",
         "NEAT on double pole balancing with velocities (Stanley & Miikkulainen 2002).",
-        ("full", "full-4-degrees", "as-written"),
+        ("full", "full-4-degrees", "bias-1", "as-written"),
         100,
     ),
     _experiment(
