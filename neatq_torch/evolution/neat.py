@@ -59,7 +59,7 @@ class NEATConfig:
         refocus_generations: if the best fitness of the whole population did not rise for so long,
             only the two best species have offspring, half of them each.
         innovations: for how long equal mutations have equal numbers: "generation", as in the paper,
-            or "run", as in rtNEAT. With the latter XOR takes a sixth more evaluations.
+            or "run", as in rtNEAT.
         elite_members: the champion of a species with more members than this lives on unchanged.
         start: what founders look like.
         start_hidden: hidden nodes of "layered" founders, and the most that "random" ones have.
