@@ -50,6 +50,7 @@ def test_a_row_by_hand() -> None:
         mean_distance=30.0,
         max_distance=60.0,
         eligible_mean_distance=40.0,
+        newborn_mean_distance=10.0,
         champion_distance=20.0,
         births=6,
         species=2,
@@ -58,18 +59,18 @@ def test_a_row_by_hand() -> None:
         td_loss=0.5,
         epsilon=0.25,
     )
-    assert row.csv() == "0,100,10,30,60,40,20,6,2,6,1,0.5,0.25\n"
+    assert row.csv() == "0,100,10,30,60,40,10,20,6,2,6,1,0.5,0.25\n"
 
 
 def test_without_anybody_eligible_and_without_learning_cells_are_empty() -> None:
     run = run_of(100, population([False, False, False], champion=None))
     (row,) = rows(run, batch_of([[[1], [2], [3]]]), torch.full((1, 3), NAN))
-    assert row.csv() == "0,100,1,2,3,,,6,2,6,1,,0.25\n"
+    assert row.csv() == "0,100,1,2,3,,2,,6,2,6,1,,0.25\n"
 
 
 def test_without_evolution_the_cells_of_genomes_are_empty() -> None:
     (row,) = rows(run_of(100), batch_of([[[1], [2], [3]]]), torch.zeros(1, 3))
-    assert row.csv() == "0,100,1,2,3,,,0,0,,,0,0.25\n"
+    assert row.csv() == "0,100,1,2,3,,,,0,0,,,0,0.25\n"
 
 
 @pytest.mark.parametrize(
@@ -104,5 +105,5 @@ def test_each_arena_has_its_own_rows_tick_by_tick() -> None:
 def test_the_header_names_the_cells() -> None:
     assert HEADER == (
         "arena,tick,min_distance,mean_distance,max_distance,eligible_mean_distance,"
-        "champion_distance,births,species,mean_nodes,mean_links,td_loss,epsilon\n"
+        "newborn_mean_distance,champion_distance,births,species,mean_nodes,mean_links,td_loss,epsilon\n"
     )

@@ -209,6 +209,16 @@ def test_altered_metrics_are_refused(copy: Path) -> None:
         resume(copy)
 
 
+def test_metrics_with_other_columns_are_refused_and_left_alone(
+    copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = (copy / METRICS).read_bytes()
+    monkeypatch.setattr(RunFolder, "header", "arena,tick,something_new\n")
+    with pytest.raises(CheckpointError, match="not of this version of neatq"):
+        resume(copy)
+    assert (copy / METRICS).read_bytes() == before
+
+
 @pytest.mark.parametrize("name", [CONFIG, CHECKPOINT])
 def test_a_missing_file_is_named(copy: Path, name: str) -> None:
     (copy / name).unlink()

@@ -25,6 +25,7 @@ class Row(NamedTuple):
     mean_distance: float
     max_distance: float
     eligible_mean_distance: float | None
+    newborn_mean_distance: float | None
     champion_distance: float | None
     births: int
     species: int
@@ -86,14 +87,20 @@ def rows(run: Run, batch: TensorDictBase, error: Tensor) -> Iterator[Row]:
 def _judged(population: RtNEAT | None, now: np.ndarray) -> dict[str, Any]:
     """What evolution adds to a row; `now` are the distances [robots]."""
     if population is None:
-        nothing = ("eligible_mean_distance", "champion_distance", "mean_nodes", "mean_links")
-        return {"births": 0, "species": 0, **dict.fromkeys(nothing)}
+        nothing = ("eligible_mean_distance", "newborn_mean_distance", "champion_distance")
+        empty = (*nothing, "mean_nodes", "mean_links")
+        return {"births": 0, "species": 0, **dict.fromkeys(empty)}
     eligible, champion = population.eligible, population.champion
     return {
-        "eligible_mean_distance": float(now[eligible].mean()) if eligible.any() else None,
+        "eligible_mean_distance": _mean(now[eligible]),
+        "newborn_mean_distance": _mean(now[~eligible]),
         "champion_distance": None if champion is None else float(now[champion]),
         "births": population.births,
         "species": len(population.species),
         "mean_nodes": float(np.mean([genome.node_id.size for genome in population.genomes])),
         "mean_links": float(np.mean([g.link_enabled.sum() for g in population.genomes])),
     }
+
+
+def _mean(values: np.ndarray) -> float | None:
+    return float(values.mean()) if values.size else None

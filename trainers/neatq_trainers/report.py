@@ -106,6 +106,10 @@ def read_metrics(path: Path) -> Metrics:
 def draw_curves(metrics: Metrics, title: str) -> Figure:
     """Least and mean distance to the flag over time, as Robertson & Wu (2014) drew them.
 
+    Beside them the means of the robots that are old enough to be judged and of the others, in whose
+    distance an offspring shows what it is worth at birth.
+
+
     With several arenas the lines are means over arenas, the band covers all of them.
 
     Args:
@@ -117,10 +121,12 @@ def draw_curves(metrics: Metrics, title: str) -> Figure:
     arenas = len(np.unique(metrics["arena"]))
     _draw_curve(axes, metrics, "min_distance", "tab:blue", "nearest robot")
     _draw_curve(axes, metrics, "mean_distance", "tab:green", "mean of the team")
-    if not np.isnan(metrics["eligible_mean_distance"]).all():
-        _draw_curve(
-            axes, metrics, "eligible_mean_distance", "0.45", "mean of the eligible", band=False
-        )
+    for name, colour, label in (
+        ("eligible_mean_distance", "0.45", "mean of the eligible"),
+        ("newborn_mean_distance", "tab:orange", "mean of the newborn"),
+    ):
+        if name in metrics and not np.isnan(metrics[name]).all():
+            _draw_curve(axes, metrics, name, colour, label, band=False)
     axes.set_xlabel(f"figure tick ({ROW_TICKS} simulation ticks)")
     axes.set_ylabel("distance to the flag (units)")
     axes.set_title(title if arenas == 1 else f"{title}: mean and range of {arenas} arenas")

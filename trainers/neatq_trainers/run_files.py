@@ -83,7 +83,7 @@ class RunFiles:
         """Cut the metrics back to what they were when the checkpoint was made.
 
         Raises:
-            CheckpointError: If they were altered.
+            CheckpointError: If they were altered, or have other columns than those of this version.
         """
         path = self.path / METRICS
         content = path.read_bytes()[:length] if path.is_file() else b""
@@ -91,6 +91,11 @@ class RunFiles:
             raise CheckpointError(
                 f"{path}: altered: its first {length} bytes are not those that it had when the "
                 "checkpoint was made; restore the file, or begin a new run with another --out"
+            )
+        if not content.startswith(self.header.encode()):
+            raise CheckpointError(
+                f"{path}: not of this version of neatq, whose columns are {self.header.strip()}; "
+                "go on with the version that made it, or begin a new run with another --out"
             )
         write_atomic(path, content)
         self.metrics_bytes, self.metrics_crc = length, crc
