@@ -25,7 +25,7 @@ class ReplayConfig:
             on its own ticks; 0 goes without replay.
         newborn_updates: Minibatches on which a newborn is trained before its first tick.
         size: Transitions of a minibatch.
-        keep_every: Every how manieth tick of each robot is remembered.
+        keep_every: Of the ticks of each robot, one in so many is remembered.
         capacity: Transitions that an arena remembers.
     """
 
