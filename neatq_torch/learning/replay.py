@@ -159,13 +159,31 @@ def pretrain(
     _check(network.shape[0], loss, memories, generators, rows)
     learner = TDLearner(network, loss, config)
     learner.reset(torch.ones_like(network.genome_id, dtype=torch.bool))
+    return rehearse(learner, memories, generators, rows, steps=steps, batch=batch)
+
+
+def rehearse(
+    learner: TDLearner,
+    memories: Sequence[TransitionMemory],
+    generators: Sequence[torch.Generator],
+    memory_of: Sequence[int],
+    *,
+    steps: int,
+    batch: int,
+) -> Tensor:
+    """Let a learner take steps on stored transitions; for the arguments see `pretrain`.
+
+    Returns:
+        Mean squared TD error of each network on the last minibatch [*shape].
+    """
+    network = learner.network
     error = torch.zeros_like(network.genome_id, dtype=torch.float32)
     for _ in range(steps):
         drawn = [
             memory.sample(batch, generator)
             for memory, generator in zip(memories, generators, strict=True)
         ]
-        error = learner.update(for_all(network, drawn, rows))
+        error = learner.update(_for_all(network, drawn, memory_of))
     return error
 
 
@@ -192,20 +210,14 @@ def _check(
         )
 
 
-def for_all(
+def _for_all(
     network: PopulationNetwork, drawn: Sequence[TensorDictBase], rows: Sequence[int]
 ) -> TensorDict:
-    """A minibatch [size] of each memory as transitions [arenas, robots, size] of every network.
-
-    Args:
-        network: Whose transitions they become, of shape [arenas, robots].
-        drawn: What was drawn from each memory.
-        rows: From which memory the robots of each arena learn [arenas].
-    """
+    """A minibatch [size] of each memory as transitions [arenas, robots, size] of every network."""
     shape = (*network.shape, len(drawn[0]))
 
     def spread(name: str | tuple[str, str]) -> Tensor:
-        own = torch.stack([each.get(name) for each in drawn])[rows].to(network.weight.device)
+        own = torch.stack([each.get(name) for each in drawn])[list(rows)].to(network.weight.device)
         return own.unsqueeze(1).expand(*shape, own.shape[-1])
 
     now = {name: spread(name) for name in _NOW}

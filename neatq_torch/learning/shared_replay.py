@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from neatq_torch.learning.learner import LearnerConfig, State, TDLearner
-from neatq_torch.learning.replay import TransitionMemory, for_all, pretrain
+from neatq_torch.learning.replay import TransitionMemory, pretrain, rehearse
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 from neatq_torch.network import PopulationNetwork
 
@@ -86,19 +86,18 @@ class ReplayLearner:
         for arena, memory in enumerate(self.memories):
             own = batch[arena, :, :: self.config.keep_every]
             memory.extend(cast(TensorDictBase, own).reshape(-1))
-        network, rows = self.learner.network, list(range(len(self.memories)))
-        error = torch.zeros_like(network.genome_id, dtype=torch.float32)
-        for _ in range(self.config.updates):
-            drawn = [
-                memory.sample(self.config.size, generator)
-                for memory, generator in zip(self.memories, self.generators, strict=True)
-            ]
-            error = self.learner.update(for_all(network, drawn, rows))
-        return error
+        return rehearse(
+            self.learner,
+            self.memories,
+            self.generators,
+            range(len(self.memories)),
+            steps=self.config.updates,
+            batch=self.config.size,
+        )
 
     def reset(self, newborn: Tensor) -> None:
         """Teach newborns (mask [arenas, robots]) and clear what belonged to those before."""
-        if self.config.newborn_updates and len(self.memories[0]):
+        if self.config.newborn_updates and len(self.memories[0]) and newborn.any():
             self._teach(newborn)
         self.learner.reset(newborn)
 

@@ -99,6 +99,14 @@ def test_newborns_of_the_first_ticks_have_nobody_to_learn_from() -> None:
     assert torch.equal(learner.learner.network.weight, before)
 
 
+def test_without_newborns_nobody_is_taught() -> None:
+    learner = learner_of(range(1), 2, ReplayConfig(updates=1, newborn_updates=5))
+    learner.update(batch_of(range(1), 2))
+    before = learner.learner.network.weight.detach().clone()
+    learner.reset(torch.zeros(1, 2, dtype=torch.bool))
+    assert torch.equal(learner.learner.network.weight, before)
+
+
 def test_an_arena_learns_as_if_alone() -> None:
     config = ReplayConfig(updates=3, newborn_updates=4, size=8)
     both, alone = learner_of(range(2), 3, config), learner_of(range(1, 2), 3, config)

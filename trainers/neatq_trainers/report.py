@@ -109,7 +109,6 @@ def draw_curves(metrics: Metrics, title: str) -> Figure:
     Beside them the means of the robots that are old enough to be judged and of the others, in whose
     distance an offspring shows what it is worth at birth.
 
-
     With several arenas the lines are means over arenas, the band covers all of them.
 
     Args:
@@ -125,7 +124,7 @@ def draw_curves(metrics: Metrics, title: str) -> Figure:
         ("eligible_mean_distance", "0.45", "mean of the eligible"),
         ("newborn_mean_distance", "tab:orange", "mean of the newborn"),
     ):
-        if name in metrics and not np.isnan(metrics[name]).all():
+        if not np.isnan(metrics[name]).all():
             _draw_curve(axes, metrics, name, colour, label, band=False)
     axes.set_xlabel(f"figure tick ({ROW_TICKS} simulation ticks)")
     axes.set_ylabel("distance to the flag (units)")
