@@ -15,6 +15,7 @@ from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.steps import fitted, take_over, widened
 from neatq_torch.network import PopulationNetwork
 
+ADAM_BETAS, ADAM_EPSILON = (0.9, 0.999), 1e-8
 State = dict[str, Any]
 """What a checkpoint keeps: JSON values, tensors and numpy arrays by name."""
 
@@ -103,14 +104,12 @@ class TDLearner:
         learning_rate: Per robot [networks]; may be changed in place.
     """
 
-    _BETAS = (0.9, 0.999)
-    _EPSILON = 1e-8
-
     def __init__(
         self, network: PopulationNetwork, loss: CandidateTDLoss, config: LearnerConfig
     ) -> None:
         self.network = network
         self.loss = loss
+        self.config = config
         self.adam = config.optimizer == "adam"
         weight = network.weight
         self.learning_rate = weight.new_full((len(weight),), config.learning_rate)
@@ -151,14 +150,14 @@ class TDLearner:
         take_over(weight, weight - self.learning_rate.unsqueeze(1) * gradient)
 
     def _adam(self, gradient: Tensor) -> Tensor:
-        first, second = self._BETAS
+        first, second = ADAM_BETAS
         self.steps += 1
         self.first_moment.lerp_(gradient, 1 - first)
         self.second_moment.lerp_(gradient.square(), 1 - second)
         # Not 1 - beta**steps: torch's pow differs in the last bit with the place in the tensor.
-        unbiased = [-torch.expm1(self.steps * math.log(beta)) for beta in (first, second)]
+        unbiased = [-torch.expm1(self.steps * math.log(beta)) for beta in ADAM_BETAS]
         scale = unbiased[1].sqrt() / unbiased[0]
-        root = self.second_moment.sqrt() + self._EPSILON
+        root = self.second_moment.sqrt() + ADAM_EPSILON
         return scale.unsqueeze(1) * self.first_moment / root
 
     @torch.no_grad()
@@ -174,12 +173,16 @@ class TDLearner:
         self.steps.masked_fill_(rows.squeeze(1), 0)
         self.first_moment.masked_fill_(rows, 0)
         self.second_moment.masked_fill_(rows, 0)
-        if self.target_update is not None:
-            target = self._target_weight()
+        target = self.target_weight
+        if target is not None:
             target.data = widened(target.data, weight)
             target.copy_(torch.where(rows, weight, target))
 
-    def _target_weight(self) -> Tensor:
+    @property
+    def target_weight(self) -> Tensor | None:
+        """The weights to bootstrap from [networks, columns]; None: the networks' own."""
+        if self.target_update is None:
+            return None
         return self.loss.target_value_network_params["network", "weight"]
 
     def state(self) -> State:
@@ -190,8 +193,8 @@ class TDLearner:
             "first_moment": self.first_moment,
             "second_moment": self.second_moment,
         }
-        if self.target_update is not None:
-            state["target_weight"] = self._target_weight().detach()
+        if self.target_weight is not None:
+            state["target_weight"] = self.target_weight.detach()
         return state
 
     @torch.no_grad()
@@ -200,6 +203,6 @@ class TDLearner:
         for name in ("learning_rate", "steps", "first_moment", "second_moment"):
             own = getattr(self, name)
             own.copy_(fitted(state[name], own))
-        if self.target_update is not None:
-            target = self._target_weight()
+        target = self.target_weight
+        if target is not None:
             target.copy_(fitted(state["target_weight"], target))

@@ -9,13 +9,14 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import ReplayBuffer, RoundRobinWriter, TensorStorage
 
+from neatq_torch.learning import compiled_wires
 from neatq_torch.learning.heads import CandidateHeads
 from neatq_torch.learning.learner import LearnerConfig, State, TDLearner
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 from neatq_torch.network import PopulationNetwork
 
-_NOW = ("observation", "action")
+_NOW = ("observation", "action", "steps_to_next_obs")
 _NEXT = ("observation", "reward", "terminated")
 
 PRETRAINING = LearnerConfig(learning_rate=0.01, optimizer="adam")
@@ -53,6 +54,8 @@ class TransitionMemory:
         Those with `genome_id` -1 are left out. What arrives in another order is drawn in another
         order, so whoever collects in several places must merge in the order of the genomes.
         """
+        if "steps_to_next_obs" not in batch.keys():
+            batch = batch.copy().set("steps_to_next_obs", torch.ones_like(batch.get("genome_id")))
         own = batch.get("genome_id").squeeze(-1) >= 0
         now = {name: batch.get(name)[own] for name in _NOW}
         self._store(now, {name: batch.get(("next", name))[own] for name in _NEXT})
@@ -95,6 +98,8 @@ class TransitionMemory:
         """Go on from `state`."""
         self._clear()
         if state:
+            one = torch.ones(len(state["next_reward"]), 1, dtype=torch.long)
+            state = {"steps_to_next_obs": one} | state
             now = {name: torch.as_tensor(state[name]) for name in _NOW}
             following = {name: torch.as_tensor(state[f"next_{name}"]) for name in _NEXT}
             self._store(now, following)
@@ -108,6 +113,41 @@ def _buffer(space: TensorDict) -> ReplayBuffer:
     """
     storage = TensorStorage(space, compilable=True)
     return ReplayBuffer(storage=storage, writer=RoundRobinWriter(compilable=True), compilable=True)
+
+
+def over_horizon(batch: TensorDictBase, ticks: int, discount: float) -> TensorDict:
+    """Transitions that reach so many ticks ahead, for n-step returns (Sutton 1988).
+
+    The reward is the discounted sum r_1 + gamma r_2 + ... up to the state that is next now; it
+    ends early where the life or the batch does. How many ticks that were stands in
+    `steps_to_next_obs`, from which TorchRL's estimators take the discount of what follows. What
+    was done in these ticks was not this network's choice; nothing corrects for that.
+
+    Args:
+        batch: [..., ticks] with `observation`, `action`, `genome_id` and
+            `("next", observation / reward / terminated / done)`.
+        ticks: n, at least 1.
+        discount: gamma.
+    """
+    reward, done = (batch.get(("next", name))[..., 0] for name in ("reward", "done"))
+    total, steps, alive = reward.clone(), torch.ones_like(done, dtype=torch.long), ~done
+    length = reward.shape[-1]
+    for ahead in range(1, min(ticks, length)):
+        going_on = alive[..., : length - ahead]
+        total[..., : length - ahead] += discount**ahead * reward[..., ahead:] * going_on
+        steps[..., : length - ahead] += going_on
+        going_on &= ~done[..., ahead:]
+        alive[..., length - ahead :] = False
+    last = torch.arange(length).to(steps.device) + steps - 1
+    seen = batch.get(("next", "observation"))
+    following = {
+        "observation": seen.gather(-2, last.unsqueeze(-1).expand_as(seen)),
+        "reward": total.unsqueeze(-1),
+        "terminated": batch.get(("next", "terminated"))[..., 0].gather(-1, last).unsqueeze(-1),
+    }
+    now = {name: batch.get(name) for name in ("observation", "action", "genome_id")}
+    now["steps_to_next_obs"] = steps.unsqueeze(-1)
+    return TensorDict(now | {"next": following}, batch.batch_size)
 
 
 def pretrain(
@@ -173,18 +213,30 @@ def rehearse(
 ) -> Tensor:
     """Let a learner take steps on stored transitions; for the arguments see `pretrain`.
 
+    Compiled code takes the steps where it can (`compiled_wires.serves`), up to rounding the same.
+
     Returns:
         Mean squared TD error of each network on the last minibatch [*shape].
     """
+    drawn = draw(memories, generators, steps * batch)
     network = learner.network
+    if compiled_wires.serves(learner):
+        lessons = compiled_wires.lessons_of(learner, [drawn[row] for row in memory_of], steps)
+        pupils = compiled_wires.pupils_of(learner)
+        return torch.from_numpy(compiled_wires.learn(pupils, learner, lessons)).view(network.shape)
     error = torch.zeros_like(network.genome_id, dtype=torch.float32)
-    for _ in range(steps):
-        drawn = [
-            memory.sample(batch, generator)
-            for memory, generator in zip(memories, generators, strict=True)
-        ]
-        error = learner.update(_for_all(network, drawn, memory_of))
+    for step in range(steps):
+        part = [rows[step * batch : (step + 1) * batch] for rows in drawn]
+        error = learner.update(_for_all(network, part, memory_of))
     return error
+
+
+def draw(
+    memories: Sequence[TransitionMemory], generators: Sequence[torch.Generator], size: int
+) -> list[TensorDictBase]:
+    """So many transitions of each memory, by its own generator."""
+    pairs = zip(memories, generators, strict=True)
+    return [memory.sample(size, generator) for memory, generator in pairs]
 
 
 def _check(

@@ -10,8 +10,9 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from neatq_torch.learning.learner import LearnerConfig, State, TDLearner
-from neatq_torch.learning.replay import TransitionMemory, pretrain, rehearse
+from neatq_torch.learning import compiled_wires
+from neatq_torch.learning.learner import State, TDLearner
+from neatq_torch.learning.replay import TransitionMemory, draw, over_horizon, pretrain, rehearse
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 from neatq_torch.network import PopulationNetwork
 
@@ -25,6 +26,8 @@ class ReplayConfig:
             on its own ticks; 0 goes without replay.
         newborn_updates: Minibatches on which a newborn is trained before its first tick.
         size: Transitions of a minibatch.
+        horizon: Ticks of reward that a transition sums up before the value of what follows, as far
+            as the batch reaches.
         keep_every: Of the ticks of each robot, one in so many is remembered.
         capacity: Transitions that an arena remembers.
     """
@@ -32,12 +35,20 @@ class ReplayConfig:
     updates: int = 0
     newborn_updates: int = 0
     size: int = 64
+    horizon: int = 1
     keep_every: int = 4
     capacity: int = 20_000
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        least = {"updates": 0, "newborn_updates": 0, "size": 1, "keep_every": 1, "capacity": 1}
+        least = {
+            "updates": 0,
+            "newborn_updates": 0,
+            "size": 1,
+            "horizon": 1,
+            "keep_every": 1,
+            "capacity": 1,
+        }
         for name, smallest in least.items():
             if getattr(self, name) < smallest:
                 raise ValueError(f"{name}: expected at least {smallest}, got {getattr(self, name)}")
@@ -59,7 +70,6 @@ class ReplayLearner:
         learner: Trains the networks of all robots; its loss must be a `WireFittingLoss`.
         make_loss: Makes such a loss over other networks: those of newborns.
         config: How much is remembered and how often it is learnt from.
-        newborn: Learning rate and optimiser for newborns.
         seeds: One seed for each arena.
     """
 
@@ -68,12 +78,11 @@ class ReplayLearner:
         learner: TDLearner,
         make_loss: Callable[[PopulationNetwork], WireFittingLoss],
         config: ReplayConfig,
-        newborn: LearnerConfig,
         seeds: Sequence[int],
     ) -> None:
         self.learner = learner
         self.config = config
-        self._make_loss, self._newborn = make_loss, newborn
+        self._make_loss = make_loss
         self.memories = [TransitionMemory(config.capacity) for _ in seeds]
         self.generators = [torch.Generator().manual_seed(seed) for seed in seeds]
 
@@ -83,8 +92,9 @@ class ReplayLearner:
         Returns:
             Mean squared TD error of each network on the last minibatch [arenas, robots].
         """
-        for arena, memory in enumerate(self.memories):
-            own = batch[arena, :, :: self.config.keep_every]
+        gamma = compiled_wires.discount_of(self.learner.loss)
+        ahead = over_horizon(batch, self.config.horizon, gamma)[..., :: self.config.keep_every]
+        for memory, own in zip(self.memories, ahead, strict=True):
             memory.extend(cast(TensorDictBase, own).reshape(-1))
         return rehearse(
             self.learner,
@@ -102,10 +112,22 @@ class ReplayLearner:
         self.learner.reset(newborn)
 
     def _teach(self, newborn: Tensor) -> None:
-        network = self.learner.network
+        network, steps, batch = self.learner.network, self.config.newborn_updates, self.config.size
         places = newborn.flatten().nonzero().flatten().tolist()
         arena_of = [place // network.shape[1] for place in places]
         arenas = sorted(set(arena_of))  # no other arena may draw
+        memories = [self.memories[arena] for arena in arenas]
+        generators = [self.generators[arena] for arena in arenas]
+        memory_of = [arenas.index(arena) for arena in arena_of]
+        if compiled_wires.serves(self.learner):
+            drawn = draw(memories, generators, steps * batch)
+            lessons = compiled_wires.lessons_of(
+                self.learner, [drawn[row] for row in memory_of], steps
+            )
+            taught = compiled_wires.newborns_of(self.learner, places)
+            compiled_wires.learn(taught, self.learner, lessons)
+            network.weight.data[places] = torch.from_numpy(taught.weight)
+            return
         young = PopulationNetwork(
             [network.genome(place) for place in places],
             shape=(len(places), 1),
@@ -114,12 +136,12 @@ class ReplayLearner:
         pretrain(
             young,
             self._make_loss(young),
-            [self.memories[arena] for arena in arenas],
-            self._newborn,
-            steps=self.config.newborn_updates,
-            batch=self.config.size,
-            generators=[self.generators[arena] for arena in arenas],
-            memory_of=[arenas.index(arena) for arena in arena_of],
+            memories,
+            self.learner.config,
+            steps=steps,
+            batch=batch,
+            generators=generators,
+            memory_of=memory_of,
         )
         for place, genome in zip(places, young.genomes(), strict=True):
             network.replace(place, genome)

@@ -289,3 +289,13 @@ class Program(NamedTuple):
     source: NDArray[np.int32]
     kept: NDArray[np.int32]
     live: NDArray[np.bool_]
+
+    def of(self, networks: Sequence[int]) -> Program:
+        """A copy of the evaluation order of some networks."""
+        return Program(
+            self.size[networks],
+            self.instruction[networks],
+            self.source[networks],
+            self.kept[networks],
+            self.live[networks],
+        )

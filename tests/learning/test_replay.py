@@ -10,6 +10,8 @@ from itertools import product
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from tensordict import TensorDict
 
 from neatq_torch.checkpoint import load_checkpoint, save_checkpoint
@@ -22,6 +24,7 @@ from neatq_torch.learning import (
     LearnerConfig,
     TransitionMemory,
     WireFittingLoss,
+    over_horizon,
     pretrain,
 )
 from neatq_torch.network import PopulationNetwork
@@ -290,3 +293,42 @@ def test_what_cannot_be_learnt_from_is_refused() -> None:
         pretrain(network, wires, [memory], steps=1, batch=1, generators=one, memory_of=[1])
     with pytest.raises(ValueError, match="at least 1 step"):
         pretrain(network, loss, [memory], steps=0, batch=1, generators=one)
+
+
+def test_rewards_are_summed_over_a_horizon_until_the_life_or_the_batch_ends() -> None:
+    batch = transitions([1.0, 10.0, 100.0, 1000.0, 10_000.0])
+    batch["next", "done"] = torch.tensor([False, False, True, False, False]).view(1, -1, 1)
+    batch["next", "terminated"] = batch.get(("next", "done")).clone()
+    ahead = over_horizon(batch, 2, 0.5)
+    # r_t + r_{t+1} / 2, but the life is over after the third and the batch after the fifth.
+    assert ahead.get(("next", "reward")).flatten().tolist() == [6.0, 60.0, 100.0, 6000.0, 10_000.0]
+    assert ahead.get("steps_to_next_obs").flatten().tolist() == [2, 2, 1, 2, 1]
+    assert ahead.get(("next", "terminated")).flatten().tolist() == [False, True, True, False, False]
+    expected = [10.5, 100.5, 100.5, 10_000.5, 10_000.5]
+    assert ahead.get(("next", "observation")).flatten().tolist() == expected
+    assert torch.equal(ahead.get("observation"), batch.get("observation"))
+
+
+def test_a_horizon_of_one_tick_changes_nothing() -> None:
+    batch = transitions([1.0, 2.0, 3.0])
+    batch["next", "done"] = torch.zeros(1, 3, 1, dtype=torch.bool)
+    ahead = over_horizon(batch, 1, 0.9)
+    for name in ("observation", "reward", "terminated"):
+        assert torch.equal(ahead.get(("next", name)), batch.get(("next", name)))
+
+
+@given(data=st.data(), ticks=st.integers(1, 9))
+def test_a_horizon_sums_what_a_loop_sums(data: st.DataObject, ticks: int) -> None:
+    length = data.draw(st.integers(1, 7))
+    done = data.draw(st.lists(st.booleans(), min_size=length, max_size=length))
+    rewards = [float(3**tick) for tick in range(length)]
+    batch = transitions(rewards)
+    batch["next", "done"] = torch.tensor(done).view(1, -1, 1)
+    ahead = over_horizon(batch, ticks, 0.5)
+    for start in range(length):
+        total, tick = rewards[start], start
+        while not done[tick] and tick + 1 < min(length, start + ticks):
+            tick += 1
+            total += 0.5 ** (tick - start) * rewards[tick]
+        assert ahead.get(("next", "reward"))[0, start].item() == pytest.approx(total)
+        assert ahead.get("steps_to_next_obs")[0, start].item() == tick - start + 1

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
 
-from neatq_torch.genome import initial_genome
+from neatq_torch.genome import InnovationLedger, MutationConfig, initial_genome, mutate
 from neatq_torch.learning import (
     CandidateHeads,
     CandidateValue,
@@ -16,6 +18,7 @@ from neatq_torch.learning import (
     ReplayLearner,
     TDLearner,
     WireFittingLoss,
+    compiled_wires,
 )
 from neatq_torch.network import PopulationNetwork
 
@@ -37,7 +40,7 @@ def learner_of(seeds: range, robots: int, config: ReplayConfig) -> ReplayLearner
     ]
     network = PopulationNetwork(genomes, shape=(len(seeds), robots))
     learner = TDLearner(network, loss_of(network), STEP)
-    return ReplayLearner(learner, loss_of, config, STEP, seeds)
+    return ReplayLearner(learner, loss_of, config, seeds)
 
 
 def batch_of(seeds: range, robots: int, ticks: int = 8) -> TensorDict:
@@ -136,3 +139,75 @@ def test_a_restored_learner_goes_on_exactly() -> None:
 def test_settings_without_sense_are_refused(wrong: dict[str, int]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         ReplayConfig(**wrong)
+
+
+def evolved_learner(step: LearnerConfig) -> ReplayLearner:
+    """Two arenas of networks with hidden nodes and loops; an action that has no room, and two."""
+    heads = CandidateHeads(3, [0.0, -2.0, 1.0], [1.0, 2.0, 1.0], value_range=(-1.0, 2.0))
+    mutation = MutationConfig(add_node_prob=0.3, add_link_prob=0.4, recurrent_link_prob=0.2)
+    rng, genomes = np.random.default_rng(3), []
+    for number in range(6):
+        one = initial_genome(2, heads.outputs, rng=rng, genome_id=number)
+        ledger = InnovationLedger.for_genomes([one])
+        for _ in range(2 * number):
+            one = mutate(one, mutation, ledger, rng)
+        genomes.append(one)
+    network = PopulationNetwork(genomes, shape=(2, 3))
+    assert network.state_size
+
+    def make_loss(networks: PopulationNetwork) -> WireFittingLoss:
+        values = CandidateValue(networks, heads, propose=True)
+        targets = step.target_tau is not None
+        loss = WireFittingLoss(values, normalize_return=True, delay_value=targets)
+        loss.make_value_estimator(gamma=0.9)
+        return loss
+
+    config = ReplayConfig(updates=6, newborn_updates=5, size=150, keep_every=1, horizon=4)
+    return ReplayLearner(TDLearner(network, make_loss(network), step), make_loss, config, range(2))
+
+
+def any_batch(seed: int) -> TensorDict:
+    draw, shape = torch.Generator().manual_seed(seed), (2, 3, 40)
+    following = {
+        "observation": torch.rand(*shape, 2, generator=draw),
+        "reward": torch.rand(*shape, 1, generator=draw),
+        "done": torch.zeros(*shape, 1, dtype=torch.bool),
+        "terminated": torch.rand(*shape, 1, generator=draw) < 0.2,
+    }
+    low, span = torch.tensor([0.0, -2.0, 1.0]), torch.tensor([1.0, 4.0, 0.0])
+    now = {
+        "observation": torch.rand(*shape, 2, generator=draw),
+        "action": low + span * torch.rand(*shape, 3, generator=draw),
+        "genome_id": torch.ones(*shape, 1, dtype=torch.long),
+        "next": following,
+    }
+    return TensorDict(now, shape)
+
+
+@pytest.mark.parametrize("tau", [None, 0.3])
+@pytest.mark.parametrize("optimizer", ["sgd", "adam"])
+def test_compiled_code_learns_what_torch_learns(
+    optimizer: Literal["sgd", "adam"], tau: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step = LearnerConfig(learning_rate=0.01, optimizer=optimizer, target_tau=tau)
+    fast, slow = evolved_learner(step), evolved_learner(step)
+    newborn = torch.tensor([[False, True, False], [True, False, True]])
+    errors = []
+    for learner in (fast, slow):
+        assert compiled_wires.serves(learner.learner)
+        with monkeypatch.context() as patch:
+            if learner is slow:
+                patch.setattr(compiled_wires, "serves", lambda _: False)
+            learner.reset(torch.ones(2, 3, dtype=torch.bool))  # nobody is taught yet
+            learner.update(any_batch(0))
+            learner.reset(newborn)
+            errors.append(learner.update(any_batch(1)))
+    before = evolved_learner(step).learner.network.weight
+    moved = (slow.learner.network.weight - before).abs()
+    assert moved.max() > 0.05
+    torch.testing.assert_close(errors[0], errors[1], rtol=2e-4, atol=1e-6)
+    for name, value in slow.learner.state().items():
+        torch.testing.assert_close(fast.learner.state()[name], value, rtol=2e-3, atol=2e-5)
+    torch.testing.assert_close(
+        fast.learner.network.weight, slow.learner.network.weight, rtol=2e-3, atol=2e-5
+    )

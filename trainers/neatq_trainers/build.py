@@ -172,7 +172,6 @@ def _learner(config: RunConfig, network: PopulationNetwork, heads: CandidateHead
         learner,
         lambda young: _loss(learning, young, heads),  # pyright: ignore[reportArgumentType]
         learning.replay,
-        learning.step,
         [_replay_seed(seed) for seed in _seeds(config)],
     )
 
