@@ -17,25 +17,26 @@ The geometry of the tasks "flag", "moving" and "wall" is that of the OpenNERO so
 (mods/NERO, 2014). Three more are there to tell ways of learning apart:
 
 * "trap": a pocket between spawn and flag, open towards the spawn. Who runs straight to the flag
-  ends 139 units from it, and must go away from it to 270 before a way leads around.
+  ends 139 units from it, and must go back to 266, as far as the spawn, before a way leads around.
 * "maze": the hard maze of Lehman & Stanley (2011); see `neatq_envs.hard_maze`. The straight way
-  ends in the first room, the next dead end is a long way behind.
+  ends in the first room, 138 units from the flag. Its door leads away from the flag, to 189, and
+  on into a dead end at 87, from which the way leads back to 127.
 * "switch": two flags that are always seen, 200 units apart, as far from the spawn as that of
   "flag". Only one counts, every 610 ticks it is the other one, and nothing but the reward tells
   which. A robot that never changes its mind is 100 units away on average, wherever between the
-  two it waits. 610 divides neither lives nor the 100 ticks between rows of metrics evenly, so that
-  no life begins at the same moment of a switch as the one before.
+  two it waits. 610 ticks fit evenly into neither lives of 1000 nor rows of metrics, so that lives
+  begin, and rows fall, at all moments between two switches.
 
 In units, with d the distance from the spawn to the flag, which is what standing still costs, and
 means over a life of 1000 ticks: of a robot that runs straight to the flag until a wall holds it,
-and of a perfect one, on the shortest way (on "switch", always to the flag that counts).
+and of a perfect one, on the shortest way (on "switch", always straight to the flag that counts).
 
 | task | d | straight | perfect | shortest way |
 | --- | --- | --- | --- | --- |
 | flag | 141 | 10 | 10 | 141 |
 | wall | 267 | 147 | 40 | 288 |
 | trap | 267 | 147 | 73 | 413 |
-| maze | 164 | 140 | 53 | 450 |
+| maze | 164 | 139 | 53 | 450 |
 | switch | 141 | 102 (to one of the two) | 38 | |
 """
 

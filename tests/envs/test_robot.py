@@ -126,7 +126,7 @@ def test_a_step_before_the_first_reset_says_so(make: Any) -> None:
 
 # ----------------------------------------------------------------------------- by name
 
-IDS = ("neatq/Flag-v0", "neatq/Moving-v0", "neatq/Wall-v0")
+IDS = tuple(f"neatq/{task.capitalize()}-v0" for task in TASKS)
 
 
 @pytest.mark.parametrize("name", IDS)
