@@ -25,8 +25,8 @@ class Arena:
     """Several arenas of one scenario, stepped together; none influences another.
 
     One tick: headings turn, robots move along their *new* headings as far as walls let them,
-    rewards are given, ages grow, the flag may move, robots sense. Arena i of a run over many
-    seeds is, bit for bit, the arena of a run over seed i alone.
+    rewards are given, ages grow, the flag may move (or the other of two may count), robots sense.
+    Arena i of a run over many seeds is, bit for bit, the arena of a run over seed i alone.
 
     All arrays are replaced as a whole and never written in place: what was handed out stays.
 
@@ -35,8 +35,8 @@ class Arena:
         heading_rad: float64 [arenas, robots], in (-pi, pi], counterclockwise from the x axis.
         age_ticks: int64 [arenas, robots], ticks since the robot's life began.
         truncated: bool [arenas, robots], whether a life has lasted `lifetime_ticks`.
-        flag: float64 [arenas, 2], units.
-        distance: float64 [arenas, robots] to the flag, units.
+        flag: float64 [arenas, 2], units; of two flags the one that counts.
+        distance: float64 [arenas, robots] to that flag, units.
         observation: float32 [arenas, robots, observations] in [0, 1]. After `respawn`, robots
             that were not respawned keep what they sensed at the end of the last tick.
         reward: float64 [arenas, robots], of the last tick, for learning, in [0, 1].
@@ -80,7 +80,7 @@ class Arena:
 
     @property
     def flag(self) -> np.ndarray:
-        """Places of the flags, float64 [arenas, 2]."""
+        """Places of the flags that count, float64 [arenas, 2]."""
         return self._flags.place
 
     @property
@@ -132,7 +132,7 @@ class Arena:
         self.reward = np.where(mask, 0.0, self.reward)
         self.reward_vector = np.where(mask[..., None], 0.0, self.reward_vector)
         self.distance = flag_distance(self.position, self.flag)
-        fresh = self._sense()
+        fresh = self._sense(directions(self.heading_rad))
         self.observation = np.where(mask[..., None], fresh, self.observation)
 
     def step(self, actions: np.ndarray) -> None:
@@ -159,7 +159,7 @@ class Arena:
         if self._flags.update(self.tick - self._began):
             self.distance = flag_distance(self.position, self.flag)
         ignore = actions[..., 3] > IGNORE_ABOVE if actions.shape[-1] > 3 else None
-        self.observation = self._senses.sense(self.position, ahead, self.flag, ignore)
+        self.observation = self._sense(ahead, ignore)
 
     def rebuild(self) -> None:
         """Build the physics anew from the arrays.
@@ -190,7 +190,8 @@ class Arena:
         Raises:
             ScenarioError: the state is of another scenario or of another number of arenas.
         """
-        if state["scenario"] != self.scenario.to_dict():
+        # Read, not compared as it is: a state may be older than a key of scenarios.
+        if Scenario.from_dict(state["scenario"]) != self.scenario:
             raise ScenarioError(
                 f"the state is of scenario {state['scenario']}, this arena of "
                 f"{self.scenario.to_dict()}; make the arena from the state's scenario"
@@ -218,8 +219,9 @@ class Arena:
                 self._flag_generators[arena] = _generator(now[arena], _FLAG_STREAM)
         self.seeds = tuple(now)
 
-    def _sense(self) -> np.ndarray:
-        return self._senses.sense(self.position, directions(self.heading_rad), self.flag)
+    def _sense(self, ahead: np.ndarray, ignore: np.ndarray | None = None) -> np.ndarray:
+        flag, second = self._flags.sensed
+        return self._senses.sense(self.position, ahead, flag, ignore, second)
 
     def _checked(self, actions: np.ndarray) -> np.ndarray:
         """Return actions of the right shape as a new float64 array."""

@@ -61,6 +61,9 @@ TASKS = [
         kwargs={"scenario": {"name": "moving", "flag": {"ring": [100, 250]}}, "reward": "progress"},
     ),
     Task("neatq/Wall-v0", *_ROBOT, kwargs={"scenario": "wall", "reward": "progress"}),
+    Task("neatq/Trap-v0", *_ROBOT, kwargs={"scenario": "trap", "reward": "progress"}),
+    Task("neatq/Maze-v0", *_ROBOT, kwargs={"scenario": "maze", "reward": "progress"}),
+    Task("neatq/Switch-v0", *_ROBOT, kwargs={"scenario": "switch", "reward": "progress"}),
 ]
 
 

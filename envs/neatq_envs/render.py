@@ -38,7 +38,7 @@ def frame(
         scenario: gives field, walls and spawns.
         position: [robots, 2] in units.
         heading_rad: [robots].
-        flag: [2] in units.
+        flag: [2] in units; of two flags the one that counts, the other is drawn hollow.
         highlight: a robot to draw in another colour and on top, such as the champion.
         size: pixels of the longer side.
 
@@ -54,6 +54,8 @@ def frame(
     order = [robot for robot in range(len(position)) if robot != highlight]
     _stamp(canvas, row[order], column[order], _disc(radius), ROBOT)
     _ticks(canvas, row[order], column[order], heading_rad[order], radius)
+    for x, y in _idle_flags(scenario, flag):
+        _draw_flag(canvas, canvas.shape[0] - y * scale, x * scale, size, hollow=True)
     _draw_flag(canvas, canvas.shape[0] - flag[1] * scale, flag[0] * scale, size)
     if highlight is not None:
         top = slice(highlight, highlight + 1)
@@ -88,7 +90,7 @@ def draw_paths(
     Args:
         scenario: gives field, walls and spawns.
         poses: [ticks, robots, 3 or 2]: x, y (units), heading (rad).
-        flag: [2] in units, at the end.
+        flag: [2] in units, at the end; of two flags the one that counts.
         highlight: a robot whose path is drawn thick and on top, such as the champion.
         highlight_label: what the legend calls it.
     """
@@ -114,6 +116,10 @@ def draw_paths(
         handles.append(Line2D([], [], color=_unit(CHAMPION), lw=2.5, label=highlight_label))
     axes.plot(flag[0], flag[1], "*", color=_unit(FLAG), mec="black", ms=16, zorder=7)
     handles.append(Line2D([], [], marker="*", ls="", color=_unit(FLAG), ms=12, label="flag"))
+    for x, y in _idle_flags(scenario, flag):
+        star = {"marker": "*", "ls": "", "mfc": "white", "mec": _unit(FLAG)}
+        axes.plot(x, y, **star, ms=16, zorder=7)
+        handles.append(Line2D([], [], **star, ms=12, label="flag that does not count"))
     axes.set_title(f'Last life of {poses.shape[1]} robots, task "{scenario.name}"')
     below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "frameon": False}
     axes.legend(handles=handles, ncols=3, fontsize=9, **below)
@@ -210,12 +216,22 @@ def _ticks(
         _stamp(canvas, ahead_row, column + ahead_column, _disc(0.0), TICK)
 
 
-def _draw_flag(canvas: np.ndarray, row: float, column: float, size: int) -> None:
-    """Draw a pole whose foot is the flag's place, with a triangle at its top."""
+def _idle_flags(scenario: Scenario, flag: np.ndarray) -> list[tuple[float, float]]:
+    """Return the places of the flags that stand but do not count; `flag` is the one that does."""
+    places = scenario.flag.positions if scenario.flag.switch_ticks else ()
+    return [place for place in places if not np.allclose(place, flag)]
+
+
+def _draw_flag(
+    canvas: np.ndarray, row: float, column: float, size: int, *, hollow: bool = False
+) -> None:
+    """Draw a pole whose foot is the flag's place, with a triangle or its outline at its top."""
     tall = max(12, size // 22)
     pole = np.array([(-up, side) for up in range(tall + 1) for side in (0, 1)])
     half = tall // 3
     cloth = [(d, s) for d in range(-half, half + 1) for s in range(2 * (half - abs(d)) + 1)]
+    if hollow:
+        cloth = [(d, s) for d, s in cloth if s == 0 or s > 2 * (half - abs(d)) - 2]
     at_row, at_column = np.array([row]), np.array([column])
     _stamp(canvas, at_row, at_column, pole, TICK)
     _stamp(canvas, at_row - tall + half, at_column + 2, np.array(cloth), FLAG)

@@ -17,7 +17,7 @@ from neatq_envs.arena import Arena
 from neatq_envs.row_env import row_seeds
 from neatq_envs.scenario import Scenario
 from neatq_envs.scenario_file import find_scenario
-from neatq_envs.sensors import SCHEMAS
+from neatq_envs.sensors import schema_of
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}
 SEEDS_BELOW = 2**31
@@ -36,9 +36,9 @@ class RobotEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     ## Observation Space
     That of one robot of `neatq_envs.torchrl.ArenaEnv`, described there: float32 [12] in [0, 1];
-    [18] with sensors "opennero". Alone, a robot is its own only friend: `friend_proximity` is 1
-    and `friend_direction` 0.5. `info` holds `distance` to the flag (units) and `pose`,
-    float64 [3] = x, y (units), heading (rad).
+    [18] with sensors "opennero"; [17] and [18] if there are two flags. Alone, a robot is its own
+    only friend: `friend_proximity` is 1 and `friend_direction` 0.5. `info` holds `distance` to the
+    flag that counts (units) and `pose`, float64 [3] = x, y (units), heading (rad).
 
     ## Action Space
     Float32 [2] = speed (units per tick), turn (rad per tick), clipped to the bounds; [4] with
@@ -54,7 +54,7 @@ class RobotEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ## Starting State
     The robot stands at its spawn, moved by a whole number of units in each axis, with a heading
     of 0 to 359 whole degrees. A flag with an interval moves within an episode; one with a ring
-    stands elsewhere in each.
+    stands elsewhere in each. Of two flags, chance decides which one counts first.
 
     ## Episode End
     Truncated after `lifetime_ticks` (0: never) and never terminated, so that the value of the
@@ -189,7 +189,7 @@ class RobotVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
 def robot_spaces(scenario: Scenario) -> tuple[Box, Box]:
     """Return the observation and the action space of one robot."""
-    schema = SCHEMAS[scenario.sensors]
+    schema = schema_of(scenario)
     low, high = schema.action_bounds(scenario)
     return Box(0.0, 1.0, (len(schema.observations),), np.float32), Box(low, high, dtype=np.float32)
 

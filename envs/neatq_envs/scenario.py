@@ -13,7 +13,31 @@ task "flag":
       "reward_weights": {"approach_flag": 1.0}
     }
 
-The geometry of the three tasks is that of the OpenNERO source code (mods/NERO, 2014).
+The geometry of the tasks "flag", "moving" and "wall" is that of the OpenNERO source code
+(mods/NERO, 2014). Three more are there to tell ways of learning apart:
+
+* "trap": a pocket between spawn and flag, open towards the spawn. Who runs straight to the flag
+  ends 139 units from it, and must go back to 266, as far as the spawn, before a way leads around.
+* "maze": the hard maze of Lehman & Stanley (2011); see `neatq_envs.hard_maze`. The straight way
+  ends in the first room, 138 units from the flag. Its door leads away from the flag, to 189, and
+  on into a dead end at 87, from which the way leads back to 127.
+* "switch": two flags that are always seen, 200 units apart, as far from the spawn as that of
+  "flag". Only one counts, every 610 ticks it is the other one, and nothing but the reward tells
+  which. A robot that never changes its mind is 100 units away on average, wherever between the
+  two it waits. 610 ticks fit evenly into neither lives of 1000 nor rows of metrics, so that lives
+  begin, and rows fall, at all moments between two switches.
+
+In units, with d the distance from the spawn to the flag, which is what standing still costs, and
+means over a life of 1000 ticks: of a robot that runs straight to the flag until a wall holds it,
+and of a perfect one, on the shortest way (on "switch", always straight to the flag that counts).
+
+| task | d | straight | perfect | shortest way |
+| --- | --- | --- | --- | --- |
+| flag | 141 | 10 | 10 | 141 |
+| wall | 267 | 147 | 40 | 288 |
+| trap | 267 | 147 | 73 | 413 |
+| maze | 164 | 139 | 53 | 450 |
+| switch | 141 | 102 (to one of the two) | 38 | |
 """
 
 from __future__ import annotations
@@ -34,6 +58,7 @@ from neatq_envs.checks import (
     require_finite,
     require_whole,
 )
+from neatq_envs.hard_maze import GOAL, START, hard_maze
 from neatq_envs.places import FlagSchedule, Spawn
 from neatq_envs.walls import Wall, box_distance
 
@@ -55,7 +80,7 @@ class Scenario:
         robots: robots in each arena.
         walls: obstacles; the border of the field is always walled.
         spawns: robot i begins its lives at spawn i modulo their number.
-        flag: where the flag stands and when it moves.
+        flag: where the flag stands and when it moves, or two flags of which one counts.
         sensors: "arena" or "opennero"; see `neatq_envs.sensors`.
         reward: "published", "bounded" or "progress"; see `neatq_envs.rewards`.
         reward_weights: weight of each reward dimension; those left out are 0.
@@ -254,6 +279,8 @@ MOVING_FLAG: tuple[tuple[float, float], ...] = (
     (353.9, 26.8),
 )
 
+_MAZE = (3.0, 2.0)  # the map's origin, for a field that just holds its outer walls
+
 TASKS: dict[str, Scenario] = {
     "flag": Scenario(name="flag", flag=FlagSchedule(positions=((300.0, 166.67),))),
     "moving": Scenario(
@@ -263,5 +290,26 @@ TASKS: dict[str, Scenario] = {
         name="wall",
         flag=FlagSchedule(positions=((400.0, 533.33),)),
         walls=(Wall(x=400.0, y=400.0, width=100.0, height=4.0),),
+    ),
+    "trap": Scenario(
+        name="trap",
+        flag=FlagSchedule(positions=((400.0, 533.33),)),
+        walls=(
+            Wall(x=400.0, y=400.0, width=240.0, height=4.0),
+            Wall(x=282.0, y=349.0, width=4.0, height=98.0),
+            Wall(x=518.0, y=349.0, width=4.0, height=98.0),
+        ),
+    ),
+    "maze": Scenario(
+        name="maze",
+        width=204.0,
+        height=210.0,
+        spawns=(Spawn(x=_MAZE[0] + START[0], y=_MAZE[1] + START[1], jitter=6),),
+        flag=FlagSchedule(positions=((_MAZE[0] + GOAL[0], _MAZE[1] + GOAL[1]),)),
+        walls=hard_maze(*_MAZE),
+    ),
+    "switch": Scenario(
+        name="switch",
+        flag=FlagSchedule(positions=((300.0, 166.67), (500.0, 166.67)), switch_ticks=610),
     ),
 }

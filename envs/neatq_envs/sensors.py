@@ -31,6 +31,7 @@ _WALL = ("wall_left_90", "wall_left_45", "wall_ahead", "wall_right_45", "wall_ri
 _SECTORS = ("left", "ahead_left", "ahead_right", "right", "rear")
 _FLAG = tuple(f"flag_{sector}" for sector in _SECTORS)
 _ENEMY = tuple(f"enemy_{sector}" for sector in _SECTORS)
+_SECOND_FLAG = tuple(f"second_flag_{sector}" for sector in _SECTORS)
 _FRIEND = ("friend_proximity", "friend_direction")
 _RAYS = np.array([(math.cos(angle), math.sin(angle)) for angle in RAY_ANGLES_RAD])
 
@@ -76,7 +77,24 @@ SCHEMAS: dict[str, SensorSchema] = {
         actions=("speed", "turn", "fire", "ignore_friends"),
     ),
 }
+# Two flags: the first 12 indices stay; OpenNERO's second flag is seen by the radar of the enemies,
+# who are not there.
+SCHEMAS["arena-two-flags"] = SensorSchema(
+    name="arena-1-two-flags",
+    observations=(*SCHEMAS["arena"].observations, *_SECOND_FLAG),
+    actions=SCHEMAS["arena"].actions,
+)
+SCHEMAS["opennero-two-flags"] = SensorSchema(
+    name="opennero-2014-two-flags",
+    observations=(*_WALL, *_FLAG, *_SECOND_FLAG, *_FRIEND, "unused"),
+    actions=SCHEMAS["opennero"].actions,
+)
 IGNORE_ABOVE = 0.5
+
+
+def schema_of(scenario: Scenario) -> SensorSchema:
+    """Return the schema of a scenario's sensors: of one flag or of two."""
+    return SCHEMAS[scenario.sensors + ("-two-flags" if scenario.flag.switch_ticks else "")]
 
 
 class Senses:
@@ -87,7 +105,7 @@ class Senses:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.schema = SCHEMAS[scenario.sensors]
+        self.schema = schema_of(scenario)
         size = scenario.width, scenario.height
         self._barriers = barriers(scenario.walls, *size, BORDER_INSET)
         self._grid = grid_of(*size, scenario.robots, FRIEND_RANGE)
@@ -98,6 +116,7 @@ class Senses:
         ahead: np.ndarray,
         flag: np.ndarray,
         ignore: np.ndarray | None = None,
+        second: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return observations, float32 [arenas, robots, observations], each in [0, 1].
 
@@ -112,12 +131,16 @@ class Senses:
             ahead: cosine and sine of the headings, float64 [arenas, robots, 2].
             flag: float64 [arenas, 2] in units.
             ignore: bool [arenas, robots]; where true, friend sensors read 0.
+            second: place of the second flag, likewise; needed if the schema has sensors for it.
         """
         values = np.zeros((*position.shape[:2], len(self.schema.observations)), dtype=np.float32)
         walls = ray_distances(position, ahead, _RAYS, RAY_LENGTH, self._barriers)
         friends = friend_offsets(position, self._grid, FRIEND_RANGE)
         friend = self.schema.index("friend_proximity")
         _write_values(values, friend, walls, friends, position, ahead, flag)
+        if second is not None:
+            index = self.schema.index(_SECOND_FLAG[0])
+            _write_second_flag(values[..., index:], position, ahead, second)
         if ignore is not None and ignore.any():
             values[ignore, friend : friend + 2] = 0.0
         return values
@@ -164,6 +187,22 @@ def _write_values(
             value[friend + 1] = 0.5
             if distance > 1e-9:  # a mean of equal places may miss them by a rounding error
                 value[friend + 1] += _angle_rad(x, y, ahead[arena, robot]) / (2 * math.pi)
+
+
+@njit(cache=True)
+def _write_second_flag(
+    values: np.ndarray, position: np.ndarray, ahead: np.ndarray, flag: np.ndarray
+) -> None:
+    """Write the radar of the second flag; arguments as in `_write_values`, its sensors first."""
+    arenas, robots, _ = position.shape
+    for arena in range(arenas):
+        for robot in range(robots):
+            x = flag[arena, 0] - position[arena, robot, 0]
+            y = flag[arena, 1] - position[arena, robot, 1]
+            distance = math.sqrt(x * x + y * y)
+            if distance <= RADAR_RANGE:
+                near = RADAR_NEAR / max(distance, RADAR_NEAR)
+                _write_radar(values[arena, robot], near, _angle_rad(x, y, ahead[arena, robot]))
 
 
 @njit(cache=True)

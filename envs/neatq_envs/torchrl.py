@@ -47,8 +47,12 @@ itself included |
     With sensors "opennero" (`opennero-2014`): 0-9 as above, 10-14 enemy radar (always 0),
     15 friend_proximity, 16 friend_direction, 17 unused (always 0).
 
-    Beside it: `distance` [.., 1] to the flag (units, float32), `pose` [.., 3] = x, y (units),
-    heading (rad), float32, `step_count` [.., 1] = age of the life (ticks, int64), and
+    Where two flags stand (`switch_ticks`), both are sensed and nothing tells which one counts.
+    Flag sensors are those of the first; second_flag_left and so on, alike, are 12-16 of "arena"
+    (`arena-1-two-flags`) and 10-14 of "opennero" (`opennero-2014-two-flags`).
+
+    Beside it: `distance` [.., 1] to the flag that counts (units, float32), `pose` [.., 3] = x, y
+    (units), heading (rad), float32, `step_count` [.., 1] = age of the life (ticks, int64), and
     `reward_vector` [.., 3] of the last tick (float32, 0 at the beginning of a life).
 
     ## Action space

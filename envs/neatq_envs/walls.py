@@ -28,6 +28,18 @@ class Wall:
                 f"got {self.width} and {self.height}"
             )
 
+    @staticmethod
+    def between(start: tuple[float, float], end: tuple[float, float], *, thickness: float) -> Wall:
+        """Return a wall along a line, so much longer that walls with a common end close."""
+        (x, y), (to_x, to_y) = start, end
+        return Wall(
+            x=(x + to_x) / 2,
+            y=(y + to_y) / 2,
+            width=math.dist(start, end) + thickness,
+            height=thickness,
+            angle_rad=math.atan2(to_y - y, to_x - x),
+        )
+
 
 def box_distance(x: np.ndarray, y: np.ndarray, wall: Wall) -> np.ndarray:
     """Return the distance in units from points to the surface of a wall; negative inside."""

@@ -97,7 +97,9 @@ def test_a_scenario_is_a_name_a_file_its_content_or_an_object(tmp_path: Path) ->
     sources: list[Source] = [content, path, str(path), wanted]
     assert [RobotEnv(source).scenario for source in sources] == [wanted] * 4
     assert RobotEnv("wall").scenario == TASKS["wall"].replaced(robots=1)
-    with pytest.raises(ScenarioError, match=r"expected flag, moving, wall or the path .* 'wal'"):
+    with pytest.raises(
+        ScenarioError, match=r"expected flag, moving, wall, trap, maze, switch or the path .* 'wal'"
+    ):
         RobotEnv("wal")
     with pytest.raises(ScenarioError, match="only reward weight"):
         RobotEnv({"reward_weights": {"stand_ground": 1.0}}, reward="progress")
@@ -124,7 +126,7 @@ def test_a_step_before_the_first_reset_says_so(make: Any) -> None:
 
 # ----------------------------------------------------------------------------- by name
 
-IDS = ("neatq/Flag-v0", "neatq/Moving-v0", "neatq/Wall-v0")
+IDS = tuple(f"neatq/{task.capitalize()}-v0" for task in TASKS)
 
 
 @pytest.mark.parametrize("name", IDS)

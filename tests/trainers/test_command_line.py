@@ -57,7 +57,10 @@ def words(text: str) -> str:
 @pytest.mark.parametrize(
     ("arguments", "pattern"),
     [
-        (["train", "--task", "nope"], "task: expected flag, moving, wall or .* got 'nope'"),
+        (
+            ["train", "--task", "nope"],
+            "task: expected flag, moving, wall, trap, maze, switch or .* got 'nope'",
+        ),
         (["train", "--arm", "nope"], "arm: expected one of rtneat, .* got 'nope'"),
         (["train", "--task"], "--task: expected one argument"),
         (["train", "--task", "none.json"], "none.json: cannot be read: No such file"),

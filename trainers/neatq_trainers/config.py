@@ -20,8 +20,16 @@ from neatq_torch.network import Evaluation
 Arm = Literal["rtneat", "committed", "described", "neatq", "qlearning"]
 LoggerName = Literal["csv", "tensorboard"]
 
-TASK_TICKS = {"flag": 40_000, "moving": 60_000, "wall": 70_000}
-"""Length of the published runs: one tick of their figures is 100 ticks."""
+TASK_TICKS = {
+    "flag": 40_000,
+    "moving": 60_000,
+    "wall": 70_000,
+    "trap": 70_000,
+    "maze": 70_000,
+    "switch": 70_000,
+}
+"""Length of the published runs (one tick of their figures is 100 ticks); of our own tasks, the
+longest of them."""
 
 
 STRIDE_TICKS = 40
@@ -113,7 +121,7 @@ class RunConfig:
     """A whole run.
 
     Attributes:
-        task: flag, moving, wall, or the path of a scenario file.
+        task: flag, moving, wall, trap, maze, switch, or the path of a scenario file.
         arm: rtneat, committed, described, neatq or qlearning; sets the defaults of what follows.
         ticks: Length of the run; it ends with the 40 ticks (or the batch, if that is longer) in
             which they are reached.
@@ -284,8 +292,8 @@ def preset(task: str, arm: Arm) -> RunConfig:
     """The configuration of an arm on a task.
 
     Args:
-        task: `flag`, `moving`, `wall` or the path of a scenario file. What the file says about
-            sensors and reward is kept; what it leaves out is the arm's.
+        task: `flag`, `moving`, `wall`, `trap`, `maze`, `switch` or the path of a scenario file.
+            What the file says about sensors and reward is kept; what it leaves out is the arm's.
         arm: One of the five.
 
     Raises:

@@ -30,7 +30,7 @@ def main(*, task: str = "flag", steps: int = 10_000, seed: int = 0) -> float:
     """Train; returns the mean distance of the team to the flag over the last tenth, in units.
 
     Args:
-        task: flag, moving, wall or the path of a scenario file.
+        task: flag, moving, wall, trap, maze, switch or the path of a scenario file.
         steps: ticks; each is a step of every robot.
         seed: of the world and of the networks.
     """

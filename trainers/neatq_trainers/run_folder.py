@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from neatq_envs.sensors import SCHEMAS
+from neatq_envs.sensors import schema_of
 from neatq_torch.genome import save_genome
 from neatq_trainers.build import Run, build
 from neatq_trainers.config import ConfigError, RunConfig
@@ -126,7 +126,7 @@ class RunFolder(RunFiles):
             config = RunConfig.from_dict(values)
         except ValueError as error:
             raise self.damaged_config(error) from error
-        state = self.read_checkpoint(SCHEMAS[config.scenario.sensors].name)
+        state = self.read_checkpoint(schema_of(config.scenario).name)
         try:
             made_with = RunConfig.from_dict(state["config"])
         except (KeyError, TypeError, ConfigError) as error:
@@ -162,7 +162,7 @@ class RunFolder(RunFiles):
             "runs": [part.state for part in parts],
             "track": self.latest_track(life_ticks(config)),
         }
-        schema = SCHEMAS[config.scenario.sensors].name
+        schema = schema_of(config.scenario).name
         self.save(config.to_dict(), state, observation_schema=schema)
         if parts[0].champion is not None:
             save_genome(parts[0].champion, self.path / CHAMPION)
