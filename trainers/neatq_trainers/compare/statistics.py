@@ -80,7 +80,8 @@ def band(values: Values) -> tuple[Values, Values]:
     np.divide(drawn @ np.where(known, values, 0.0), weight, out=means, where=weight > 0)
     low, high = np.full((2, values.shape[1]), np.nan)
     seen = known.any(0)
-    low[seen], high[seen] = np.nanquantile(means[:, seen], (0.025, 0.975), axis=0)
+    if seen.any():
+        low[seen], high[seen] = np.nanquantile(means[:, seen], (0.025, 0.975), axis=0)
     return low, high
 
 
