@@ -15,7 +15,7 @@ from neatq_trainers.compare.cells import grid, runs_of, study_of
 from neatq_trainers.compare.check import outdated
 from neatq_trainers.compare.figures import draw_halves, draw_task
 from neatq_trainers.compare.report import HALVES_FIGURE, report
-from neatq_trainers.compare.tables import RESULTS, Study, read_tables, write_tables
+from neatq_trainers.compare.tables import Study, read_tables, write_tables
 from neatq_trainers.config import ConfigError
 from neatq_trainers.published import published_curves
 from neatq_trainers.report import save_figure
@@ -54,17 +54,6 @@ class CompareCommand:
     overview: Annotated[bool, tyro.conf.arg(name="list")] = False
     """Say which arms, variants and tasks there are, and do nothing."""
 
-    def __post_init__(self) -> None:
-        """Check ranges and what goes together."""
-        for name in ("seeds", "jobs"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ConfigError(f"{name}: expected at least 1, got {value}")
-            if value is not None and self.results is not None:
-                raise ConfigError(f"{name}: nothing is run with --results; leave one of them out")
-        if self.quick and self.results is not None:
-            raise ConfigError("quick: nothing is run with --results; leave one of them out")
-
     @property
     def folder(self) -> Path:
         """Where everything is written."""
@@ -82,6 +71,7 @@ def run_command(command: CompareCommand) -> None:
     if command.overview:
         print(overview(), end="")
         return
+    _refuse_impossible(command)
     folder = command.folder
     study = _run(command) if command.results is None else _read(command, command.results)
     folder.mkdir(parents=True, exist_ok=True)
@@ -91,6 +81,17 @@ def run_command(command: CompareCommand) -> None:
         write_tables(study, folder, compress=True)
     written = write_report(study, folder)
     print(f"neatq: {folder}: {', '.join(written)}")
+
+
+def _refuse_impossible(command: CompareCommand) -> None:
+    """Check ranges and what goes together."""
+    for name in ("seeds", "jobs"):
+        value = getattr(command, name)
+        if value is not None and value < 1:
+            raise ConfigError(f"{name}: expected at least 1, got {value}")
+    for name in ("seeds", "jobs", "quick"):
+        if getattr(command, name) and command.results is not None:
+            raise ConfigError(f"{name}: nothing is run with --results; leave one of them out")
 
 
 def _run(command: CompareCommand) -> Study:
@@ -113,7 +114,7 @@ def _read(command: CompareCommand, source: Path) -> Study:
 
 
 def write_report(study: Study, folder: Path) -> list[str]:
-    """Write report and figures; returns the names of all that can be looked at."""
+    """Write report and figures; returns their names."""
     write_atomic(folder / REPORT, report(study))
     figures = {f"{task}.png": draw_task(study, task) for task in study.tasks}
     halves = draw_halves(study)
@@ -121,8 +122,7 @@ def write_report(study: Study, folder: Path) -> list[str]:
         figures[HALVES_FIGURE] = halves
     for name, figure in figures.items():
         save_figure(figure, folder / name)
-    tables = sorted(path.name for path in folder.glob(f"{RESULTS}*"))
-    return [REPORT, *figures, *tables]
+    return [REPORT, *figures]
 
 
 def overview() -> str:

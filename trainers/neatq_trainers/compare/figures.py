@@ -21,7 +21,10 @@ from neatq_trainers.published import published_curves
 _ARM_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
 _OTHER_COLOURS = ("tab:brown", "tab:cyan", "tab:olive", "tab:pink", "black")
 _PAPER_STYLES = {"rtneat": "-", "rtneat+q": "--", "qlearning": ":"}
-HALVES = {"eligible": "robots old enough to be judged", "newborn": "newborn robots"}
+HALVES = {
+    "eligible": "robots old enough to be judged",
+    "newborn": "newborns, too young to be judged",
+}
 LINE_TICKS = 2 * POINT_TICKS
 """Ticks in one point of a line: one life. Lives begin together, and in half a life a team is far
 from the flag by habit, so points of half a life would go up and down."""
@@ -50,7 +53,7 @@ def draw_task(study: Study, task: str) -> Figure:
             style = _PAPER_STYLES[algorithm]
             label = f"{algorithm} in the paper (one run)"
             axes.plot(*curve.T, color="0.6", lw=0.9, ls=style, label=label, zorder=1)
-    _frame(axes)
+    _frame(axes, study, task)
     axes.set_title(f"Task {task}: how far the team is from the flag")
     axes.set_ylabel("mean distance to the flag (units)")
     axes.set_xlabel(X_LABEL)
@@ -75,7 +78,7 @@ def draw_halves(study: Study) -> Figure | None:
                 _draw_arm(axes, study.curves(task, arm, column), colours_of(study)[arm], arm)
             axes.set_title(f"{task}: {title}", fontsize=10)
         for axes in row:  # both panels of a row share their axes: not before both have lines
-            _frame(axes)
+            _frame(axes, study, task)
         row[0].set_ylabel("mean distance\nto the flag (units)")
     for axes in panels[-1]:
         axes.set_xlabel(X_LABEL)
@@ -120,8 +123,9 @@ def by_life(curves: Curves) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.array([middle[life == one].mean() for one in lives]), np.stack(values, 1)
 
 
-def _frame(axes: Axes) -> None:
-    axes.set_xlim(left=0)
+def _frame(axes: Axes, study: Study, task: str) -> None:
+    last = max(outcome.ticks for outcome in study.outcomes if outcome.task == task)
+    axes.set_xlim(0, last / ROW_TICKS)
     axes.set_ylim(bottom=0)
     axes.grid(alpha=0.3)
 

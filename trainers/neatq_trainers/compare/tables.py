@@ -169,7 +169,13 @@ class Study:
 
 
 def write_tables(study: Study, folder: Path, *, compress: bool = False) -> None:
-    """Write both tables into a folder, compressed as `.csv.gz`: the same bytes each time."""
+    """Write both tables into a folder, in place of those in it.
+
+    Args:
+        study: What to write.
+        folder: Where; it is made if it is not there.
+        compress: Whether as `.csv.gz`; the same tables give the same bytes each time.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for name, kind, rows in ((RESULTS, Point, study.points), (SEEDS, Outcome, study.outcomes)):
         text = io.StringIO(newline="")
@@ -177,10 +183,12 @@ def write_tables(study: Study, folder: Path, *, compress: bool = False) -> None:
         writer.writerow(kind._fields)
         writer.writerows([_cell(value) for value in row] for row in rows)
         content = text.getvalue().encode()
+        plain, packed = folder / name, folder / f"{name}.gz"
         if compress:
-            write_atomic(folder / f"{name}.gz", gzip.compress(content, mtime=0))
+            write_atomic(packed, gzip.compress(content, mtime=0))
         else:
-            write_atomic(folder / name, content)
+            write_atomic(plain, content)
+        (plain if compress else packed).unlink(missing_ok=True)  # an older one would be read
 
 
 def read_tables(folder: Path) -> Study:

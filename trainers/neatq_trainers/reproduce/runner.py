@@ -108,7 +108,7 @@ def _run(runs: Runs, tasks: list[Task], jobs: int) -> None:
                 if (error := future.exception()) is not None:
                     error.add_note(f"in {runs.name}: {task}")
                     errors.append(error)
-            progress.n = round(finished + _begun(runs, waiting.values()), 1)
+            progress.n = round(finished + begun(runs, waiting.values()), 1)
             progress.refresh()
     if errors:
         raise errors[0]
@@ -117,11 +117,11 @@ def _run(runs: Runs, tasks: list[Task], jobs: int) -> None:
 def _progress(runs: Runs, tasks: list[Task]) -> tqdm:
     seeds = sum(len(task.seeds) for task in tasks)
     silent = not sys.stderr.isatty()
-    before = 0 if silent else round(_begun(runs, tasks), 1)
+    before = 0 if silent else round(begun(runs, tasks), 1)
     return tqdm(total=seeds, initial=before, desc=runs.name, unit=" runs", disable=silent)
 
 
-def _begun(runs: Runs, tasks: Iterable[Task]) -> float:
+def begun(runs: Runs, tasks: Iterable[Task]) -> float:
     """How many seeds' worth of tasks without results is done."""
     if runs.share is None:
         return 0.0
