@@ -13,7 +13,16 @@ import pytest
 
 from neatq_envs.arena import Arena
 from neatq_envs.places import FlagSchedule
-from neatq_trainers.compare.cells import Cell, digest, grid, run_cell, runs_of, share_done, study_of
+from neatq_trainers.compare.cells import (
+    Cell,
+    digest,
+    grid,
+    run_cell,
+    runs_of,
+    seed_result,
+    share_done,
+    study_of,
+)
 from neatq_trainers.compare.check import check_against
 from neatq_trainers.compare.tables import POINT_TICKS
 from neatq_trainers.compare.variants import ARMS, VARIANTS, changed, config_of
@@ -145,6 +154,16 @@ def test_rows_are_means_of_five_looks(tiny_cells: int, tmp_path: Path) -> None:
     assert results[0]["team"] == pytest.approx([metrics["mean_distance"][:5].mean()], abs=1e-4)
     assert results[0]["nearest"] == pytest.approx([metrics["min_distance"][:5].mean()], abs=1e-4)
     assert results[0]["births"] == [metrics["births"][4]]
+
+
+def test_what_comes_after_the_last_tick_does_not_count() -> None:
+    names = ("mean_distance", "min_distance", "eligible_mean_distance", "newborn_mean_distance")
+    metrics = {name: np.full(10, 50.0) for name in (*names, "champion_distance", "births")}
+    metrics |= {"arena": np.zeros(10), "tick": 100.0 * np.arange(1, 11)}
+    metrics["min_distance"][9] = 0.0
+    assert seed_result(metrics, 0, 1000)["first_contact"] == 1000
+    early = seed_result(metrics, 0, 500)
+    assert (early["tick"], early["first_contact"]) == ([500], None)
 
 
 def worlds_of(config: RunConfig, every: int) -> list[Any]:

@@ -11,6 +11,7 @@ from neatq_trainers.compare.report import (
     arms_table,
     configurations,
     differences_table,
+    paired_differences,
     reference_of,
     report,
 )
@@ -41,6 +42,13 @@ def test_differences_are_of_pairs_of_equal_seeds(study_of: Make) -> None:
     assert row[0] == "| arm | pairs | difference to rtneat | probability of improvement |"
     assert row[2].startswith("| neatq | 3 | -1.0 [-1.0, -1.0] | 0.75 [")  # 9 of 12
     assert len(row) == 3
+
+
+def test_seeds_that_one_arm_lacks_are_no_pairs() -> None:
+    tick = np.array([500])
+    ours = Curves(np.array([1, 2]), tick, np.array([[21.0], [32.0]]))
+    theirs = Curves(np.array([0, 1, 2]), tick, np.array([[10.0], [20.0], [30.0]]))
+    assert paired_differences(ours, theirs).tolist() == [1, 2]
 
 
 def test_rtneat_is_the_reference_wherever_it_stands() -> None:

@@ -40,8 +40,7 @@ def stable_contact(tick: NDArray[np.int64], nearest: NDArray[np.float64]) -> int
     near = nearest <= CONTACT
     left = np.arange(near.size, 0, -1)
     share = np.cumsum(near[::-1])[::-1] / left
-    # Shares are of whole numbers: 9 of 10 must not fail for a last bit.
-    found = np.flatnonzero(near & (share >= STABLE_SHARE - 1e-12) & (left >= LIFE_ROWS))
+    found = np.flatnonzero(near & (share >= STABLE_SHARE) & (left >= LIFE_ROWS))
     return int(tick[found[0]]) if found.size else None
 
 
