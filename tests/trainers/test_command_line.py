@@ -72,7 +72,7 @@ def words(text: str) -> str:
         (["train", "--scenario.robots", "1"], "scenario.robots: expected at least 2, got 1"),
         (["train", "--network.candidates", "1"], "network.candidates: expected at least 2, got 1"),
         (["resume", "nowhere"], "nowhere: no run to go on with"),
-        (["trian"], "expected train, resume or reproduce; got 'trian'; see neatq --help"),
+        (["trian"], "expected train, resume, compare or reproduce; got 'trian'; see neatq --help"),
     ],
 )
 def test_bad_input_is_answered_in_one_line(neatq: Say, arguments: list[str], pattern: str) -> None:

@@ -22,6 +22,8 @@ from neatq_envs.gymnasium_task import PREFIX, TaskError
 from neatq_envs.scenario import ScenarioError
 from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.genome import GenomeError
+from neatq_trainers.compare.command import CompareCommand
+from neatq_trainers.compare.command import run_command as compare
 from neatq_trainers.config import ConfigError, RunConfig, preset
 from neatq_trainers.generational import folder as gymnasium_folder
 from neatq_trainers.generational import report as gymnasium_report
@@ -57,13 +59,14 @@ _GYMNASIUM_RESULTS = (
     gymnasium_folder.ANIMATION,
 )
 
-_USAGE = """usage: neatq {train,resume,reproduce} ...
+_USAGE = """usage: neatq {train,resume,compare,reproduce} ...
 
 Neuroevolution that learns during life: robots, a flag, rtNEAT and Q-learning; or any Gymnasium
 environment, NEAT and NEAT+Q.
 
   neatq train      train a population and write a run folder   (neatq train --help)
   neatq resume     go on with a run, exactly where it stopped  (neatq resume --help)
+  neatq compare    run arms beside each other on tasks         (neatq compare --list)
   neatq reproduce  run a published experiment                  (neatq reproduce list)
 
 Examples: neatq train --task wall --arm neatq --ticks 70000 --seed 0 --out runs/first
@@ -121,12 +124,18 @@ class ResumeCommand:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status (2 for bad input, 130 after Ctrl-C)."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    commands = {"train": _train, "resume": _resume, "reproduce": _reproduce}
+    commands = {
+        "train": _train,
+        "resume": _resume,
+        "compare": _compare,
+        "reproduce": _reproduce,
+    }
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_USAGE, end="")
         return 0 if arguments else 2
     if arguments[0] not in commands:
-        return _fail(f"expected train, resume or reproduce; got {arguments[0]!r}; see neatq --help")
+        known = "train, resume, compare or reproduce"
+        return _fail(f"expected {known}; got {arguments[0]!r}; see neatq --help")
     torch.set_num_threads(1)  # small tensors: a second thread only gets in the way
     gc.freeze()  # the garbage collector need not look through torch again and again
     try:
@@ -214,10 +223,23 @@ def _refuse(name: str, value: object, instead: str) -> None:
         raise ConfigError(f"{name}: this run does not know it; its length is --{instead}")
 
 
+def _compare(arguments: list[str]) -> None:
+    command = _parse(CompareCommand, "compare", arguments)
+    with _keeping_what_is_finished():
+        compare(command)
+
+
 def _reproduce(arguments: list[str]) -> None:
     command = _parse(ReproduceCommand, "reproduce", arguments)
-    try:
+    with _keeping_what_is_finished():
         run_command(command)
+
+
+@contextmanager
+def _keeping_what_is_finished() -> Iterator[None]:
+    """Add to Ctrl-C that nothing is lost."""
+    try:
+        yield
     except KeyboardInterrupt as error:
         advice = "; what is finished is kept: the same command goes on"
         raise KeyboardInterrupt(advice) from error

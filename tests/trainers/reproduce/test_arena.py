@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from neatq_trainers.published import published_curves
 from neatq_trainers.reproduce import arena
 from neatq_trainers.reproduce.arena import (
     EXPERIMENT,
     draw,
-    published_curves,
     run,
     summary,
     table,

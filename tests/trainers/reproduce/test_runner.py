@@ -21,7 +21,7 @@ from neatq_trainers.reproduce.experiment import (
     column,
     mean_and_error,
 )
-from neatq_trainers.reproduce.runner import FIGURE, TABLE, reproduce, result_path, tasks
+from neatq_trainers.reproduce.runner import FIGURE, TABLE, begun, reproduce, result_path, tasks
 from neatq_trainers.run_folder import RunFolderError
 
 
@@ -104,6 +104,13 @@ def test_a_damaged_result_is_named(tmp_path: Path) -> None:
     path.write_text("{")
     with pytest.raises(RunFolderError, match=r"seed-0\.json.*delete it"):
         reproduce(SQUARES, tmp_path, seeds=1, quick=False, jobs=1)
+
+
+def test_the_bar_counts_what_is_done_of_tasks_that_have_no_result_yet(tmp_path: Path) -> None:
+    half = replace(SQUARES, share=lambda task: 0.5 if task.arm == "a" else 0.0)
+    planned = tasks(half, tmp_path, seeds=3, quick=False)
+    assert begun(half, planned) == 1.5  # half of three seeds of a, nothing of b
+    assert begun(SQUARES, planned) == 0
 
 
 def test_mean_and_standard_error_by_hand() -> None:

@@ -8,17 +8,16 @@ run each, are read off their figures.
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from neatq_trainers.config import TASK_TICKS, Arm, preset
+from neatq_trainers.config import TASK_TICKS, Arm, RunConfig, preset
 from neatq_trainers.metrics import ROW_TICKS
+from neatq_trainers.published import PUBLISHED, published_curves
 from neatq_trainers.report import read_metrics
 from neatq_trainers.reproduce.experiment import Experiment, Result, Results, Task
 from neatq_trainers.run_folder import CHECKPOINT
@@ -46,7 +45,6 @@ SPECIFICATION: dict[tuple[str, Arm], Specification] = {
 }
 Curves = dict[tuple[str, Arm], np.ndarray]
 """Mean distance of each team at each row [seeds, rows], of each task and arm."""
-PUBLISHED = {"rtneat": "rtneat", "committed": "rtneat+q", "qlearning": "qlearning"}
 
 
 QUICK_SHARE = 4
@@ -56,16 +54,31 @@ QUICK_SHARE = 4
 def run(task: Task) -> list[Result]:
     """Run an arm over its seeds side by side; goes on with a run that was interrupted."""
     name, arm = split(task.arm)
-    first, last = task.seeds[0], task.seeds[-1]
     ticks = TASK_TICKS[name] // (QUICK_SHARE if task.quick else 1)
-    folder = task.folder / f"seeds-{first}-{last}"
+    folder = run_seeds(task, replace(preset(name, arm), ticks=ticks))
+    first = task.seeds[0]
+    curves = mean_distances(folder)[[seed - first for seed in task.seeds]]
+    return [{"mean_distance": np.round(curve, 4).tolist()} for curve in curves]
+
+
+def run_seeds(task: Task, config: RunConfig) -> Path:
+    """Run a configuration over the seeds of a task, side by side; go on if it was interrupted.
+
+    Returns:
+        The folder of the run; its arena i has the seed `task.seeds[0] + i`.
+    """
+    folder = seeds_folder(task)
     if (folder / CHECKPOINT).exists():
         resume(folder)
     else:
-        arenas = last - first + 1
-        start(replace(preset(name, arm), ticks=ticks, arenas=arenas, seed=first), folder)
-    curves = mean_distances(folder)[[seed - first for seed in task.seeds]]
-    return [{"mean_distance": np.round(curve, 4).tolist()} for curve in curves]
+        first, last = task.seeds[0], task.seeds[-1]
+        start(replace(config, arenas=last - first + 1, seed=first), folder)
+    return folder
+
+
+def seeds_folder(task: Task) -> Path:
+    """Where `run_seeds` runs the seeds of a task."""
+    return task.folder / f"seeds-{task.seeds[0]}-{task.seeds[-1]}"
 
 
 def split(cell: str) -> tuple[str, Arm]:
@@ -127,17 +140,6 @@ def table(results: Results) -> str:
             cells = [f"{apart:+.1f} ({allowed:.1f})" for apart, allowed in both]
             lines.append(f"| | difference (allowed) | | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
-
-
-def published_curves() -> dict[tuple[str, str], np.ndarray]:
-    """Mean distance over figure ticks of each published run, (task, algorithm): [points, 2]."""
-    text = (files("neatq_trainers") / "data" / "paper_curves.csv").read_text()
-    points: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    for row in csv.DictReader(text.splitlines()):
-        if row["statistic"] == "mean":
-            point = float(row["figure_tick"]), float(row["distance"])
-            points.setdefault((row["task"], row["algorithm"]), []).append(point)
-    return {key: np.array(value) for key, value in points.items()}
 
 
 def draw(results: Results) -> Figure:

@@ -34,29 +34,41 @@ class Task(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Experiment:
-    """A published result and what it takes to meet it.
+class Runs:
+    """Arms that are run over seeds.
 
     Attributes:
         name: what it is called on the command line.
-        summary: one line on what is run.
         arms: what is compared.
+        batch: most seeds of one task.
+        run: runs a task; returns one result for each of its seeds. It is pickled, because it is
+            called in other processes.
+        share: how much of a task that has no results yet is done, from 0 to 1, for the progress
+            bar.
+    """
+
+    name: str
+    arms: tuple[str, ...]
+    batch: int = 1
+    run: Callable[[Task], list[Result]]
+    share: Callable[[Task], float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment(Runs):
+    """A published result and what it takes to meet it.
+
+    Attributes:
+        summary: one line on what is run.
         seeds: seeds of each arm.
         quick_seeds: seeds of each arm with `--quick`.
-        batch: most seeds of one task.
-        run: runs a task; returns one result for each of its seeds. A function of a module, because
-            it is called in other processes.
         table: Markdown, ours beside what was published.
         figure: draws the results.
     """
 
-    name: str
     summary: str
-    arms: tuple[str, ...]
     seeds: int
     quick_seeds: int
-    batch: int = 1
-    run: Callable[[Task], list[Result]]
     table: Callable[[Results], str]
     figure: Callable[[Results], Figure] | None = None
 
@@ -71,20 +83,30 @@ def mean_and_error(values: ArrayLike, digits: int = 1) -> str:
     values = np.asarray(values, np.float64)
     if not values.size:
         return "none"
-    mean = f"{values.mean():,.{digits}f}"
+    middle = f"{values.mean():,.{digits}f}"
     if values.size == 1:
-        return mean
-    return f"{mean} ± {values.std(ddof=1) / np.sqrt(values.size):,.{digits}f}"
+        return middle
+    return f"{middle} ± {values.std(ddof=1) / np.sqrt(values.size):,.{digits}f}"
 
 
-def bootstrap_interval(values: ArrayLike, resamples: int = 10_000) -> tuple[float, float]:
-    """The 95 % percentile interval of the mean by bootstrap (Efron & Tibshirani 1993).
+def mean(values: np.ndarray) -> np.ndarray:
+    """Mean over the last axis."""
+    return values.mean(-1)
+
+
+def bootstrap_interval(
+    values: ArrayLike,
+    resamples: int = 10_000,
+    statistic: Callable[[np.ndarray], np.ndarray] = mean,
+) -> tuple[float, float]:
+    """The 95 % percentile interval of a statistic by bootstrap (Efron & Tibshirani 1993).
 
     Args:
         values: [seeds]; of paired seeds, their differences.
         resamples: how often they are drawn again, with replacement. Always the same draws.
+        statistic: of values along the last axis.
     """
     values = np.asarray(values, np.float64)
     drawn = np.random.default_rng(0).integers(values.size, size=(resamples, values.size))
-    low, high = np.quantile(values[drawn].mean(1), (0.025, 0.975))
+    low, high = np.quantile(statistic(values[drawn]), (0.025, 0.975))
     return float(low), float(high)

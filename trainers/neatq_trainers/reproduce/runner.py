@@ -6,8 +6,8 @@ import json
 import multiprocessing
 import signal
 import sys
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,10 +16,12 @@ from tqdm import tqdm
 
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.report import save_figure
-from neatq_trainers.reproduce.experiment import Experiment, Result, Results, Task
+from neatq_trainers.reproduce.experiment import Experiment, Result, Results, Runs, Task
 from neatq_trainers.run_folder import RunFolderError
 
 TABLE, FIGURE = "table.md", "figure.png"
+LOOK_SECONDS = 1.0
+"""Time between two looks at how far the tasks are."""
 
 
 def reproduce(experiment: Experiment, out: Path, *, seeds: int, quick: bool, jobs: int) -> str:
@@ -39,7 +41,7 @@ def reproduce(experiment: Experiment, out: Path, *, seeds: int, quick: bool, job
         RunFolderError: If a result in the folder cannot be read.
     """
     folder = out / ("quick" if quick else "full")
-    _run(experiment, tasks(experiment, folder, seeds=seeds, quick=quick), jobs)
+    run_missing(experiment, folder, seeds=seeds, quick=quick, jobs=jobs)
     results = read_results(experiment, folder, seeds)
     table = experiment.table(results)
     write_atomic(folder / TABLE, table)
@@ -48,7 +50,12 @@ def reproduce(experiment: Experiment, out: Path, *, seeds: int, quick: bool, job
     return table
 
 
-def tasks(experiment: Experiment, folder: Path, *, seeds: int, quick: bool) -> list[Task]:
+def run_missing(runs: Runs, folder: Path, *, seeds: int, quick: bool, jobs: int) -> None:
+    """Run the seeds 0, 1, ... of all arms that have no result in the folder yet."""
+    _run(runs, tasks(runs, folder, seeds=seeds, quick=quick), jobs)
+
+
+def tasks(experiment: Runs, folder: Path, *, seeds: int, quick: bool) -> list[Task]:
     """The tasks that have no result yet; the same seed of all arms comes before the next seed."""
     tasks = []
     for first in range(0, seeds, experiment.batch):
@@ -66,7 +73,7 @@ def result_path(folder: Path, arm: str, seed: int) -> Path:
     return folder / arm / f"seed-{seed}.json"
 
 
-def read_results(experiment: Experiment, folder: Path, seeds: int) -> Results:
+def read_results(experiment: Runs, folder: Path, seeds: int) -> Results:
     """The results of seeds 0, 1, ... of every arm, as far as they are there."""
     return {
         arm: [
@@ -87,23 +94,38 @@ def _read(path: Path) -> Result:
         ) from error
 
 
-def _run(experiment: Experiment, tasks: list[Task], jobs: int) -> None:
+def _run(runs: Runs, tasks: list[Task], jobs: int) -> None:
     """Run all tasks; the first error is raised when all others are finished."""
     errors: list[BaseException] = []
-    with _progress(experiment.name, tasks) as progress, _processes(jobs) as pool:
-        waiting = {pool.submit(_perform, experiment.run, task): task for task in tasks}
-        for done in as_completed(waiting):
-            if (error := done.exception()) is not None:
-                error.add_note(f"in {experiment.name}: {waiting[done]}")
-                errors.append(error)
-            progress.update(len(waiting[done].seeds))
+    with _progress(runs, tasks) as progress, _processes(jobs) as pool:
+        waiting = {pool.submit(_perform, runs.run, task): task for task in tasks}
+        finished = 0
+        while waiting:
+            over, _ = wait(waiting, LOOK_SECONDS, FIRST_COMPLETED)
+            for future in over:
+                task = waiting.pop(future)
+                finished += len(task.seeds)
+                if (error := future.exception()) is not None:
+                    error.add_note(f"in {runs.name}: {task}")
+                    errors.append(error)
+            progress.n = round(finished + begun(runs, waiting.values()), 1)
+            progress.refresh()
     if errors:
         raise errors[0]
 
 
-def _progress(name: str, tasks: list[Task]) -> tqdm:
+def _progress(runs: Runs, tasks: list[Task]) -> tqdm:
     seeds = sum(len(task.seeds) for task in tasks)
-    return tqdm(total=seeds, desc=name, unit=" runs", disable=not sys.stderr.isatty())
+    silent = not sys.stderr.isatty()
+    before = 0 if silent else round(begun(runs, tasks), 1)
+    return tqdm(total=seeds, initial=before, desc=runs.name, unit=" runs", disable=silent)
+
+
+def begun(runs: Runs, tasks: Iterable[Task]) -> float:
+    """How many seeds' worth of tasks without results is done."""
+    if runs.share is None:
+        return 0.0
+    return sum(runs.share(task) * len(task.seeds) for task in tasks)
 
 
 @contextmanager

@@ -1,0 +1,144 @@
+"""The figures of a comparison, drawn from its tables alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import cycle
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from neatq_trainers.compare.statistics import band, mean_of_known
+from neatq_trainers.compare.tables import POINT_TICKS, Curves, Study
+from neatq_trainers.compare.variants import ARMS
+from neatq_trainers.metrics import ROW_TICKS
+from neatq_trainers.published import published_curves
+
+_ARM_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
+_OTHER_COLOURS = ("tab:brown", "tab:cyan", "tab:olive", "tab:pink", "black")
+_PAPER_STYLES = {"rtneat": "-", "rtneat+q": "--", "qlearning": ":"}
+HALVES = {
+    "eligible": "robots old enough to be judged",
+    "newborn": "newborns, too young to be judged",
+}
+LINE_TICKS = 2 * POINT_TICKS
+"""Ticks in one point of a line: one life. Lives begin together, and in half a life a team is far
+from the flag by habit, so points of half a life would go up and down."""
+X_LABEL = f"figure tick ({ROW_TICKS} simulation ticks)"
+
+
+def colours_of(study: Study) -> dict[str, str]:
+    """A colour for each arm, the same in all figures; the five arms always have theirs."""
+    colours = dict(zip(ARMS, _ARM_COLOURS, strict=True))
+    others = (arm for arm in study.arms() if arm not in colours)
+    return colours | dict(zip(others, cycle(_OTHER_COLOURS), strict=False))
+
+
+def draw_task(study: Study, task: str) -> Figure:
+    """Mean distance of the team over time, in the axes of Robertson & Wu (2014).
+
+    Each arm's mean over seeds with its 95 % interval; behind them, in grey, the paper's own
+    curves where it has this task.
+    """
+    figure = Figure(figsize=(8.5, 5), layout="constrained")
+    axes = figure.add_subplot()
+    for arm in study.arms(task):
+        _draw_arm(axes, study.curves(task, arm, "team"), colours_of(study)[arm], arm)
+    for (name, algorithm), curve in published_curves().items():
+        if name == task:
+            style = _PAPER_STYLES[algorithm]
+            label = f"{algorithm} in the paper (one run)"
+            axes.plot(*curve.T, color="0.6", lw=0.9, ls=style, label=label, zorder=1)
+    _frame(axes, study, task)
+    axes.set_title(f"Task {task}: how far the team is from the flag")
+    axes.set_ylabel("mean distance to the flag (units)")
+    axes.set_xlabel(X_LABEL)
+    _legend(figure, *axes.get_legend_handles_labels())
+    return figure
+
+
+def draw_halves(study: Study) -> Figure | None:
+    """The robots old enough to be judged and the newborn, a row of panels for each task.
+
+    What newborns can do, nobody has selected yet: only what they inherit and learn shows there.
+    None if no arm has births.
+    """
+    tasks = [task for task in study.tasks if any(_evolving(study, task))]
+    if not tasks:
+        return None
+    figure = Figure(figsize=(10.5, 0.6 + 3 * len(tasks)), layout="constrained")
+    panels = figure.subplots(len(tasks), len(HALVES), squeeze=False, sharex="row", sharey="row")
+    for task, row in zip(tasks, panels, strict=True):
+        for axes, (column, title) in zip(row, HALVES.items(), strict=True):
+            for arm in _evolving(study, task):
+                _draw_arm(axes, study.curves(task, arm, column), colours_of(study)[arm], arm)
+            axes.set_title(f"{task}: {title}", fontsize=10)
+        for axes in row:  # both panels of a row share their axes: not before both have lines
+            _frame(axes, study, task)
+        row[0].set_ylabel("mean distance\nto the flag (units)")
+    for axes in panels[-1]:
+        axes.set_xlabel(X_LABEL)
+    arms = _evolving(study, *tasks)
+    lines = [Line2D([], [], color=colours_of(study)[arm], lw=1.6) for arm in arms]
+    _legend(figure, lines, arms)
+    return figure
+
+
+def _evolving(study: Study, *tasks: str) -> list[str]:
+    """The arms that have newborns in some of these tasks."""
+    return list(
+        dict.fromkeys(
+            arm
+            for task in tasks
+            for arm in study.arms(task)
+            if not np.isnan(study.curves(task, arm, "newborn").values).all()
+        )
+    )
+
+
+def _draw_arm(axes: Axes, curves: Curves, colour: str, arm: str) -> None:
+    middle, values = by_life(curves)
+    low, high = band(values)
+    seeds = f"{len(curves.seeds)} seed{'s' * (len(curves.seeds) > 1)}"
+    axes.plot(
+        middle, mean_of_known(values), color=colour, lw=1.6, label=f"{arm} ({seeds})", zorder=3
+    )
+    axes.fill_between(middle, low, high, color=colour, alpha=0.2, lw=0, zorder=2)
+
+
+def by_life(curves: Curves) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Means over one life a point.
+
+    Returns:
+        The middle of each point in figure ticks [points], and its values [seeds, points].
+    """
+    life = (curves.ticks - 1) // LINE_TICKS
+    middle = (curves.ticks - (POINT_TICKS - ROW_TICKS) / 2) / ROW_TICKS
+    lives = np.unique(life)
+    values = [mean_of_known(curves.values[:, life == one], axis=1) for one in lives]
+    return np.array([middle[life == one].mean() for one in lives]), np.stack(values, 1)
+
+
+def _frame(axes: Axes, study: Study, task: str) -> None:
+    last = max(outcome.ticks for outcome in study.outcomes if outcome.task == task)
+    axes.set_xlim(0, last / ROW_TICKS)
+    axes.set_ylim(bottom=0)
+    axes.grid(alpha=0.3)
+
+
+def _legend(figure: Figure, lines: Sequence[Artist], labels: Sequence[str]) -> None:
+    title = f"line: mean over seeds,\n{LINE_TICKS:,} ticks a point\nband: its 95 % interval\n"
+    figure.legend(
+        lines,
+        labels,
+        loc="outside right upper",
+        frameon=False,
+        fontsize=9,
+        title=title,
+        title_fontsize=9,
+        alignment="left",
+    )
