@@ -1,4 +1,4 @@
-"""Stored transitions, and training on them before the first tick of a life."""
+"""Training on stored transitions, before the first tick of a life or during it."""
 
 from __future__ import annotations
 
@@ -7,147 +7,16 @@ from collections.abc import Sequence
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import ReplayBuffer, RoundRobinWriter, TensorStorage
 
 from neatq_torch.learning import compiled_wires
 from neatq_torch.learning.heads import CandidateHeads
-from neatq_torch.learning.learner import LearnerConfig, State, TDLearner
+from neatq_torch.learning.learner import LearnerConfig, TDLearner
+from neatq_torch.learning.memory import NEXT, NOW, TransitionMemory
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 from neatq_torch.network import PopulationNetwork
 
-_NOW = ("observation", "action", "steps_to_next_obs")
-_NEXT = ("observation", "reward", "terminated")
-
 PRETRAINING = LearnerConfig(learning_rate=0.01, optimizer="adam")
-
-
-class TransitionMemory:
-    """The latest transitions of a population, whoever made them.
-
-    Keeps observation, action, reward, next observation and whether that was terminal; of the
-    genome that acted it keeps nothing, so that any other can learn from them.
-
-    Args:
-        capacity: Transitions kept; the oldest make room.
-
-    Raises:
-        ValueError: If the capacity is less than 1.
-    """
-
-    def __init__(self, capacity: int) -> None:
-        if capacity < 1:
-            raise ValueError(f"capacity: expected at least 1, got {capacity}")
-        self.capacity = capacity
-        self._clear()
-
-    def _clear(self) -> None:
-        self._buffer: ReplayBuffer | None = None
-        self._added = 0
-
-    def __len__(self) -> int:
-        return min(self._added, self.capacity)
-
-    def extend(self, batch: TensorDictBase) -> None:
-        """Store transitions [...], the first of a flat order first.
-
-        Those with `genome_id` -1 are left out. What arrives in another order is drawn in another
-        order, so whoever collects in several places must merge in the order of the genomes.
-        """
-        if "steps_to_next_obs" not in batch.keys():
-            batch = batch.copy().set("steps_to_next_obs", torch.ones_like(batch.get("genome_id")))
-        own = batch.get("genome_id").squeeze(-1) >= 0
-        now = {name: batch.get(name)[own] for name in _NOW}
-        self._store(now, {name: batch.get(("next", name))[own] for name in _NEXT})
-
-    def _store(self, now: dict[str, Tensor], following: dict[str, Tensor]) -> None:
-        added = len(following["reward"])
-        if added:
-            rows = TensorDict(now | {"next": following}, [added])[-self.capacity :]
-            if self._buffer is None:
-                self._buffer = _buffer(rows[:1].expand(self.capacity).clone())
-            self._buffer.extend(rows)
-            self._added += len(rows)
-
-    def sample(self, size: int, generator: torch.Generator) -> TensorDictBase:
-        """Draw so many transitions with replacement [size]; all chance is the generator's.
-
-        Raises:
-            ValueError: If nothing is stored.
-        """
-        if not len(self):
-            raise ValueError("expected stored transitions to draw from, got none: extend first")
-        return self._rows(torch.randint(len(self), (size,), generator=generator))
-
-    def _rows(self, ages: Tensor) -> TensorDictBase:
-        """Transitions by age, 0 for the oldest."""
-        # Not by place: what is restored stands in other places.
-        assert self._buffer is not None
-        oldest = self._added % self.capacity if self._added > self.capacity else 0
-        return self._buffer[(ages + oldest) % len(self)]
-
-    def state(self) -> State:
-        """All transitions, the oldest first."""
-        if not len(self):
-            return {}
-        rows = self._rows(torch.arange(len(self)))
-        state: State = {name: rows.get(name) for name in _NOW}
-        return state | {f"next_{name}": rows.get(("next", name)) for name in _NEXT}
-
-    def load_state(self, state: State) -> None:
-        """Go on from `state`."""
-        self._clear()
-        if state:
-            one = torch.ones(len(state["next_reward"]), 1, dtype=torch.long)
-            state = {"steps_to_next_obs": one} | state
-            now = {name: torch.as_tensor(state[name]) for name in _NOW}
-            following = {name: torch.as_tensor(state[f"next_{name}"]) for name in _NEXT}
-            self._store(now, following)
-
-
-def _buffer(space: TensorDict) -> ReplayBuffer:
-    """A buffer for as many rows as `space` has.
-
-    Not a lazy storage, which prints a line when it finds out what it holds; and `compilable`, as
-    otherwise every count is shared memory with a semaphore, left behind when a process is ended.
-    """
-    storage = TensorStorage(space, compilable=True)
-    return ReplayBuffer(storage=storage, writer=RoundRobinWriter(compilable=True), compilable=True)
-
-
-def over_horizon(batch: TensorDictBase, ticks: int, discount: float) -> TensorDict:
-    """Transitions that reach so many ticks ahead, for n-step returns (Sutton 1988).
-
-    The reward is the discounted sum r_1 + gamma r_2 + ... up to the state that is next now; it
-    ends early where the life or the batch does. How many ticks that were stands in
-    `steps_to_next_obs`, from which TorchRL's estimators take the discount of what follows. What
-    was done in these ticks was not this network's choice; nothing corrects for that.
-
-    Args:
-        batch: [..., ticks] with `observation`, `action`, `genome_id` and
-            `("next", observation / reward / terminated / done)`.
-        ticks: n, at least 1.
-        discount: gamma.
-    """
-    reward, done = (batch.get(("next", name))[..., 0] for name in ("reward", "done"))
-    total, steps, alive = reward.clone(), torch.ones_like(done, dtype=torch.long), ~done
-    length = reward.shape[-1]
-    for ahead in range(1, min(ticks, length)):
-        going_on = alive[..., : length - ahead]
-        total[..., : length - ahead] += discount**ahead * reward[..., ahead:] * going_on
-        steps[..., : length - ahead] += going_on
-        going_on &= ~done[..., ahead:]
-        alive[..., length - ahead :] = False
-    last = torch.arange(length).to(steps.device) + steps - 1
-    seen = batch.get(("next", "observation"))
-    following = {
-        "observation": seen.gather(-2, last.unsqueeze(-1).expand_as(seen)),
-        "reward": total.unsqueeze(-1),
-        "terminated": batch.get(("next", "terminated"))[..., 0].gather(-1, last).unsqueeze(-1),
-    }
-    now = {name: batch.get(name) for name in ("observation", "action", "genome_id")}
-    now["steps_to_next_obs"] = steps.unsqueeze(-1)
-    return TensorDict(now | {"next": following}, batch.batch_size)
 
 
 def pretrain(
@@ -272,8 +141,8 @@ def _for_all(
         own = torch.stack([each.get(name) for each in drawn])[list(rows)].to(network.weight.device)
         return own.unsqueeze(1).expand(*shape, own.shape[-1])
 
-    now = {name: spread(name) for name in _NOW}
-    following = {name: spread(("next", name)) for name in _NEXT}
+    now = {name: spread(name) for name in NOW}
+    following = {name: spread(("next", name)) for name in NEXT}
     # Every transition is an episode of its own, so that no return goes on into the next row.
     following["done"] = torch.ones_like(following["terminated"])
     now["candidate_index"] = now["action"][..., 0].long()

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from neatq_torch.learning import compiled_wires
 from neatq_torch.learning.learner import State, TDLearner
-from neatq_torch.learning.replay import TransitionMemory, draw, over_horizon, pretrain, rehearse
+from neatq_torch.learning.memory import TransitionMemory, over_horizon
+from neatq_torch.learning.replay import draw, pretrain, rehearse
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 from neatq_torch.network import PopulationNetwork
 
@@ -93,7 +94,8 @@ class ReplayLearner:
             Mean squared TD error of each network on the last minibatch [arenas, robots].
         """
         gamma = compiled_wires.discount_of(self.learner.loss)
-        ahead = over_horizon(batch, self.config.horizon, gamma)[..., :: self.config.keep_every]
+        keep_every = self.config.keep_every
+        ahead = over_horizon(batch, self.config.horizon, gamma, keep_every=keep_every)
         for memory, own in zip(self.memories, ahead, strict=True):
             memory.extend(cast(TensorDictBase, own).reshape(-1))
         return rehearse(
