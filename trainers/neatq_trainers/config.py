@@ -273,10 +273,12 @@ _ARMS: dict[Arm, dict[str, Any]] = {
         "world": {"sensors": "arena", "reward": "progress"},
         "network": NetworkConfig(candidates=5),
         "learning": LearningConfig(
-            step=LearnerConfig(learning_rate=0.01, optimizer="adam"),
-            discount=0.9,
-            epsilon=0.001,
+            rule="wire_fitting",
+            step=LearnerConfig(learning_rate=0.03, optimizer="adam", target_tau=0.05),
+            discount=0.98,
+            epsilon=0.01,
             max_hold_ticks=40,
+            replay=ReplayConfig(updates=4, newborn_updates=100, horizon=40),
         ),
     },
     "qlearning": {
@@ -306,7 +308,7 @@ def preset(task: str, arm: Arm) -> RunConfig:
     scenario = _scenario(task, TASKS["flag"].replaced(**parts.pop("world")))
     evolution = RtNEATConfig(minimum_life_ticks=scenario.lifetime_ticks or 1000)
     if arm == "neatq":
-        evolution = replace(evolution, trial_average="exponential")
+        evolution = replace(evolution, trial_average="exponential", ineligible_fraction=0.1)
     return RunConfig(
         task=task,
         arm=arm,

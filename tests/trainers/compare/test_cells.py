@@ -70,6 +70,17 @@ def test_a_digest_knows_everything_but_names_seed_and_length() -> None:
     assert digest(changed(config, {"learning.discount": 0.8})) != digest(config)
     assert digest(config_of("wall", "neatq")) != digest(config)
     assert digest(changed(config, {"scenario.max_speed": 1})) == digest(config)  # 1 is 1.0
+
+
+def test_a_digest_does_not_change_when_a_later_version_can_switch_more_on() -> None:
+    config = config_of("flag", "rtneat")
+    assert digest(changed(config, {"batch_ticks": 40})) != digest(config)
+    plain = config.to_dict() | {"later": None}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RunConfig, "from_dict", lambda _: config)
+        patch.setattr(RunConfig, "to_dict", lambda _: plain)
+        later = digest(config)
+    assert later == digest(config)
     names = {cell.name for cell in grid(["flag", "wall"], [*ARMS, *VARIANTS], quick=False)}
     assert len({name.rsplit("-", 1)[1] for name in names}) == len(names)
 

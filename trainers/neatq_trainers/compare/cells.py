@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,12 +68,19 @@ def digest(config: RunConfig) -> str:
 
     They are the beginning of the SHA-256 of the configuration as JSON with sorted keys, without
     the names of task and arm (what these stand for is in the other fields), ticks, arenas, seed,
-    checkpoint_seconds and logger.
+    checkpoint_seconds and logger. Nor does None count, with which a setting is switched off: so a
+    later version's settings leave the digests of runs without them as they are.
     """
     values = RunConfig.from_dict(config.to_dict()).to_dict()  # 1 and 1.0 are the same number
-    kept = {name: value for name, value in values.items() if name not in _ANY}
+    kept = _without_none({name: value for name, value in values.items() if name not in _ANY})
     text = json.dumps(kept, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    return value
 
 
 def grid(tasks: Sequence[str], arms: Sequence[str], *, quick: bool) -> list[Cell]:
