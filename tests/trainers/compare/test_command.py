@@ -47,7 +47,7 @@ def no_pool(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def test_it_lists_arms_variants_and_tasks(compare: Say) -> None:
     status, out, _ = compare("--list")
     assert status == 0
-    for wanted in ("rtneat", "qlearning", "neatq-frozen", "learning.rule=none", "wall, "):
+    for wanted in ("rtneat", "qlearning", "neatq-frozen", "step-1-progress", "wall, "):
         assert wanted in out.replace("wall\n", "wall, ").replace("or a file", "wall, ")
 
 
@@ -92,7 +92,7 @@ def test_all_is_made_again_from_tables_without_a_run(
 @pytest.mark.parametrize(
     ("arguments", "pattern"),
     [
-        (["--arms", "nope"], "arms: expected some of rtneat, .*neatq-frozen.* got 'nope'"),
+        (["--arms", "nope"], "arms: expected some of rtneat, .*ladder.* got 'nope'"),
         (["--tasks", "nope"], "task: expected flag, .* got 'nope'"),
         (["--tasks", "nope.json"], "nope.json: cannot be read"),
         (["--seeds", "0"], "seeds: expected at least 1, got 0"),

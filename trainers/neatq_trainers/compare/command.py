@@ -38,7 +38,8 @@ class CompareCommand:
     tasks: tuple[str, ...] | None = None
     """Built-in tasks or scenario files. Default: those of the paper."""
     arms: tuple[str, ...] | None = None
-    """Arms or variants. Default: the five arms."""
+    """Arms, variants, or the groups of variants: ladder (from described to neatq, one part at a
+    time), without (neatq without one part each), controls, alternatives. Default: the five arms."""
     seeds: int | None = None
     """Seeds 0, 1, ... of each arm on each task. Default: 20; with --quick 2."""
     quick: bool = False
@@ -97,7 +98,8 @@ def _refuse_impossible(command: CompareCommand) -> None:
 def _run(command: CompareCommand) -> Study:
     """Run what is missing; returns all that was asked for."""
     tasks = tuple(dict.fromkeys(task for task, _ in published_curves()))
-    cells = grid(command.tasks or tasks, command.arms or variants.ARMS, quick=command.quick)
+    arms = variants.expanded(command.arms or variants.ARMS)
+    cells = grid(command.tasks or tasks, arms, quick=command.quick)
     seeds = command.seeds or (QUICK_SEEDS if command.quick else FULL_SEEDS)
     runs, place = runs_of(cells), command.folder / CELLS
     jobs = command.jobs or usable_cores()
@@ -107,7 +109,9 @@ def _run(command: CompareCommand) -> Study:
 
 def _read(command: CompareCommand, source: Path) -> Study:
     """Read saved tables, and say which arms are not what they were."""
-    study = read_tables(source).only(command.tasks, command.arms)
+    study = read_tables(source).only(
+        command.tasks, command.arms and variants.expanded(command.arms)
+    )
     for task, arm in outdated(study):
         print(f"neatq: {source}: {arm} on {task} has another configuration in this version")
     return study
@@ -127,4 +131,4 @@ def write_report(study: Study, folder: Path) -> list[str]:
 
 def overview() -> str:
     """The arms, variants and tasks."""
-    return f"arms and variants:\n{variants.overview()}tasks:\n  {', '.join(TASKS)}, or a file\n"
+    return f"arms:\n{variants.overview()}tasks:\n  {', '.join(TASKS)}, or a file\n"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 from neatq_trainers.config import Arm, ConfigError, RunConfig, preset
 
@@ -26,23 +26,156 @@ class Variant:
     changes: Mapping[str, Any]
 
 
-VARIANTS: dict[str, Variant] = {
-    "rtneat+neatq-world": Variant(
-        base="rtneat",
-        summary="evolution alone, with the sensors, actions and reward of neatq",
-        changes={"scenario.sensors": "arena", "scenario.reward": "progress"},
+class Part(NamedTuple):
+    """One thing in which `neatq` differs from `described`.
+
+    Attributes:
+        summary: What it is.
+        added: Its values in `neatq`.
+        removed: What stands in their place without it.
+    """
+
+    summary: str
+    added: Mapping[str, Any]
+    removed: Mapping[str, Any]
+
+
+PARTS: dict[str, Part] = {
+    "progress": Part(
+        "a reward for coming nearer",
+        {"scenario.reward": "progress"},
+        {"scenario.reward": "published"},
     ),
-    "neatq-frozen": Variant(
-        base="neatq",
-        summary="neatq whose networks choose among candidates but learn nothing",
-        changes={"learning.rule": "none"},
+    "adam": Part(
+        "Adam's steps",
+        {"learning.step.optimizer": "adam", "learning.step.learning_rate": 0.03},
+        {"learning.step.optimizer": "sgd", "learning.step.learning_rate": 0.9},
     ),
-    "neatq-darwinian": Variant(
-        base="neatq",
-        summary="neatq whose offspring inherit what their parents were born with",
-        changes={"learning.inheritance": "darwinian"},
+    "exploration": Part(
+        "explorations that last (Dabney et al. 2021); without, as many exploratory ticks",
+        {"learning.epsilon": 0.01, "learning.max_hold_ticks": 40},
+        {"learning.epsilon": 0.041, "learning.max_hold_ticks": 1},
+    ),
+    "candidates": Part(
+        "5 instead of 10 candidates", {"network.candidates": 5}, {"network.candidates": 10}
+    ),
+    "discount": Part(
+        "a discount of 0.98 instead of 0.8",
+        {"learning.discount": 0.98},
+        {"learning.discount": 0.8},
+    ),
+    "trials": Part(
+        "fitness as an exponential average over trials",
+        {"evolution.trial_average": "exponential"},
+        {"evolution.trial_average": "opennero"},
+    ),
+    "wires": Part(
+        "candidates that move: wire fitting",
+        {"learning.rule": "wire_fitting"},
+        {"learning.rule": "td", "learning.replay.updates": 0, "learning.replay.newborn_updates": 0},
+    ),
+    "targets": Part(
+        "target weights that follow slowly",
+        {"learning.step.target_tau": 0.05},
+        {"learning.step.target_tau": None},
+    ),
+    "replay": Part(
+        "learning from what all robots went through",
+        {"learning.replay.updates": 4},
+        {"learning.replay.updates": 0, "learning.replay.newborn_updates": 0},
+    ),
+    "horizon": Part(
+        "rewards over 40 ticks before a value stands for the rest",
+        {"learning.replay.horizon": 40},
+        {"learning.replay.horizon": 1},
+    ),
+    "teaching": Part(
+        "newborns learn before their first tick",
+        {"learning.replay.newborn_updates": 100},
+        {"learning.replay.newborn_updates": 0},
+    ),
+    "sparing": Part(
+        "a replacement every 200 ticks instead of 40: a tenth are newborns, not half",
+        {"evolution.ineligible_fraction": 0.1},
+        {"evolution.ineligible_fraction": 0.5},
     ),
 }
+"""All of them, in the order in which the ladder from `described` to `neatq` adds them."""
+
+
+def _ladder() -> dict[str, Variant]:
+    """From `described` to `neatq`, one part at a time.
+
+    The last two steps are in other places: `neatq` without its last part, and `neatq`.
+    """
+    steps, changes = {}, {}
+    for number, (name, part) in enumerate(list(PARTS.items())[:-2], 1):
+        changes |= part.added
+        summary = f"described, its first {number} steps to neatq; the last: {part.summary}"
+        steps[f"step-{number}-{name}"] = Variant(
+            base="described", summary=summary, changes=dict(changes)
+        )
+    return steps
+
+
+def _without() -> dict[str, Variant]:
+    """`neatq` without one part each."""
+    return {
+        f"neatq-without-{name}": Variant(
+            base="neatq", summary=f"neatq without: {part.summary}", changes=part.removed
+        )
+        for name, part in PARTS.items()
+    }
+
+
+_WORLD = {"scenario.sensors": "arena", "scenario.reward": "progress"}
+_SPARING = PARTS["sparing"].added
+GROUPS: dict[str, dict[str, Variant]] = {
+    "ladder": _ladder(),
+    "without": _without(),
+    "controls": {
+        "rtneat-neatq-senses": Variant(
+            base="rtneat",
+            summary="evolution alone, with neatq's sensors, actions and reward",
+            changes=_WORLD,
+        ),
+        "rtneat-sparing": Variant(
+            base="rtneat", summary="evolution alone, as few newborns as neatq", changes=_SPARING
+        ),
+        "rtneat-both": Variant(
+            base="rtneat",
+            summary="evolution alone, with neatq's senses and as few newborns",
+            changes={**_WORLD, **_SPARING},
+        ),
+        "neatq-frozen": Variant(
+            base="neatq",
+            summary="neatq whose networks choose among candidates but learn nothing",
+            changes={
+                "learning.rule": "none",
+                "learning.step.target_tau": None,
+                "learning.replay.updates": 0,
+                "learning.replay.newborn_updates": 0,
+                "learning.epsilon": 0.0,
+            },
+        ),
+    },
+    "alternatives": {
+        "neatq-darwinian": Variant(
+            base="neatq",
+            summary="neatq whose offspring inherit what their parents were born with",
+            changes={"learning.inheritance": "darwinian"},
+        ),
+    },
+}
+"""Variants by what they are for; the name of a group stands for all of it."""
+VARIANTS: dict[str, Variant] = {
+    name: variant for group in GROUPS.values() for name, variant in group.items()
+}
+
+
+def expanded(names: Sequence[str]) -> tuple[str, ...]:
+    """Arms and variants, with those of a group in place of its name."""
+    return tuple(one for name in names for one in GROUPS.get(name, (name,)))
 
 
 def config_of(task: str, name: str) -> RunConfig:
@@ -56,8 +189,8 @@ def config_of(task: str, name: str) -> RunConfig:
         return preset(task, name)
     if name not in VARIANTS:
         raise ConfigError(
-            f"arms: expected some of {', '.join((*ARMS, *VARIANTS))}; got {name!r} (neatq compare "
-            "--list says what they are)"
+            f"arms: expected some of {', '.join((*ARMS, *GROUPS))}; got {name!r} (neatq compare "
+            "--list says what they are and which variants there are)"
         )
     variant = VARIANTS[name]
     try:
@@ -95,9 +228,9 @@ def overview() -> str:
     """The arms and variants, a line each."""
     width = max(map(len, (*ARMS, *VARIANTS)))
     lines = [f"  {name:{width}}  {ARM_SUMMARIES[name]}" for name in ARMS]
-    for name, variant in VARIANTS.items():
-        changes = ", ".join(f"{path}={value}" for path, value in variant.changes.items())
-        lines.append(f"  {name:{width}}  {variant.summary} ({variant.base} with {changes})")
+    for group, members in GROUPS.items():
+        lines.append(f"{group}: {len(members)} variants")
+        lines += [f"  {name:{width}}  {variant.summary}" for name, variant in members.items()]
     return "".join(f"{line}\n" for line in lines)
 
 
