@@ -19,6 +19,7 @@ from tensordict import TensorDictBase
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from neatq_torch.genome import InnovationLedger, MutationConfig, initial_genome, mutate
+from neatq_torch.learning import ReplayConfig
 from neatq_torch.network import PopulationNetwork
 from neatq_trainers.build import Run, build
 from neatq_trainers.config import preset
@@ -31,6 +32,7 @@ CALLS_PER_TICK_AND_ARENA = 55
 OPERATORS_PER_TICK = 95
 CALLS_PER_UPDATE = 3250
 OPERATORS_PER_UPDATE = 235
+CALLS_PER_SHARED_UPDATE_AND_ARENA = 700
 CALLS_PER_REPLACEMENT = 610
 
 TICKS = 10
@@ -79,12 +81,21 @@ def calls(action: Callable[[], object]) -> int:
 
 
 class Team:
-    """Robots of the arm neatq that never end a life, a few batches after their birth."""
+    """Robots of the arm neatq that never end a life, a few batches after their birth.
 
-    def __init__(self, *, arenas: int = 1, robots: int = FEW, ticks: int = TICKS) -> None:
+    They learn from their own ticks, unless from those of all (`shared`).
+    """
+
+    def __init__(
+        self, *, arenas: int = 1, robots: int = FEW, ticks: int = TICKS, shared: bool = False
+    ) -> None:
         config = preset("wall", "neatq")
         scenario = config.scenario.replaced(robots=robots, lifetime_ticks=0)
-        self.run: Run = build(replace(config, scenario=scenario, arenas=arenas, batch_ticks=ticks))
+        config = replace(config, scenario=scenario, arenas=arenas, batch_ticks=ticks)
+        if not shared:
+            learning = replace(config.learning, rule="td", replay=ReplayConfig())
+            config = replace(config, learning=learning)
+        self.run: Run = build(config)
         self._batches: Iterator[TensorDictBase] = iter(make_collector(self.run))
         for _ in range(3):  # whatever is made once is made now
             self.live()
@@ -129,6 +140,16 @@ def test_an_arena_more_costs_a_few_calls_and_no_operator(few: dict[str, int]) ->
     assert four["calls to learn"] == two["calls to learn"] == few["calls to learn"]
     more = (four["calls to act"] - two["calls to act"]) / 2 / TICKS
     _check("CALLS_PER_TICK_AND_ARENA", more, CALLS_PER_TICK_AND_ARENA)
+
+
+def test_learning_from_all_loops_over_arenas_at_most() -> None:
+    teams = [Team(robots=robots, shared=True) for robots in (FEW, MANY)]
+    few, many = (calls(lambda team=team: team.learn(team.act())) for team in teams)
+    assert few == many
+    two, four = (Team(arenas=arenas, shared=True) for arenas in (2, 4))
+    batches = two.act(), four.act()
+    more = calls(lambda: four.learn(batches[1])) - calls(lambda: two.learn(batches[0]))
+    _check("CALLS_PER_SHARED_UPDATE_AND_ARENA", more / 2, CALLS_PER_SHARED_UPDATE_AND_ARENA)
 
 
 def test_counts_stay_within_their_bounds(few: dict[str, int]) -> None:

@@ -33,6 +33,7 @@ def _tiny(arm: str, *, ticks: int = 520, **changes: Any) -> RunConfig:
     evolution = replace(
         config.evolution,
         minimum_life_ticks=LIFE_TICKS,
+        ineligible_fraction=0.5,
         reproduction=replace(reproduction, mutation=mutation),
     )
     config = replace(config, scenario=scenario, evolution=evolution, ticks=ticks, seed=1)

@@ -25,7 +25,7 @@ from neatq_trainers.run_folder import CHECKPOINT, CONFIG, METRICS, RunFolder
 from neatq_trainers.train import resume, start
 
 ARMS = ("rtneat", "committed", "described", "neatq", "qlearning")
-CASES = (*ARMS, "neatq with target parameters", "neatq with wire fitting", "neatq with replay")
+CASES = (*ARMS, "neatq with own ticks", "neatq with wire fitting", "neatq with little memory")
 LONG_TICKS = 4000
 """A run that takes seconds, so that a signal meets it on its way."""
 State = dict[str, Any]
@@ -37,16 +37,14 @@ StateOf = Callable[[Path], State]
 def config_of(tiny: Callable[..., RunConfig]) -> Callable[[str], RunConfig]:
     def make(case: str) -> RunConfig:
         config = tiny(case.split()[0])
-        if case.endswith("target parameters"):
-            step = replace(config.learning.step, target_tau=0.1)
-            config = replace(config, learning=replace(config.learning, step=step))
+        learning, replay = config.learning, ReplayConfig()
+        if case.endswith("own ticks"):
+            config = replace(config, learning=replace(learning, rule="td", replay=replay))
         if case.endswith("wire fitting"):
-            learning = replace(config.learning, rule="wire_fitting", trace_decay=0.5)
-            config = replace(config, learning=learning)
-        if case.endswith("replay"):
+            config = replace(config, learning=replace(learning, trace_decay=0.5, replay=replay))
+        if case.endswith("little memory"):
             replay = ReplayConfig(updates=2, newborn_updates=3, size=16, capacity=300)
-            learning = replace(config.learning, rule="wire_fitting", replay=replay)
-            config = replace(config, learning=learning)
+            config = replace(config, learning=replace(learning, replay=replay))
         return config
 
     return make

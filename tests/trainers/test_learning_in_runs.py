@@ -9,7 +9,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from neatq_torch.learning import TDLearner
+from neatq_torch.learning import LearnerConfig, ReplayConfig, TDLearner
 from neatq_trainers.build import Run, build
 from neatq_trainers.config import Arm, RunConfig, preset
 from neatq_trainers.loop import breed, make_collector
@@ -25,6 +25,12 @@ def small(arm: Arm, *, life_ticks: int = 120, robots: int = 10, **changes: objec
     )
 
 
+def own_ticks(config: RunConfig, **changes: object) -> RunConfig:
+    """The same, but every robot learns from its own ticks alone."""
+    learning = replace(config.learning, rule="td", replay=ReplayConfig())
+    return replace(config, learning=replace(learning, **changes))  # pyright: ignore[reportArgumentType]
+
+
 def weights(run: Run) -> list[np.ndarray]:
     assert run.network is not None
     return [genome.link_weight for genome in run.network.genomes()]
@@ -32,7 +38,11 @@ def weights(run: Run) -> list[np.ndarray]:
 
 def td_errors(arm: Arm, *, learning: bool) -> list[float]:
     """TD error (squared, of the median robot) of each batch of one life without evolution."""
-    run, errors = build(small(arm, life_ticks=1000, robots=30)), []
+    config = small(arm, life_ticks=1000, robots=30)
+    if arm == "neatq":  # a return that a thousand ticks are enough to learn
+        step = LearnerConfig(learning_rate=0.01, optimizer="adam")
+        config = own_ticks(config, discount=0.9, step=step)
+    run, errors = build(config), []
     assert isinstance(run.learner, TDLearner)
     if not learning:
         run.learner.learning_rate.zero_()
@@ -64,9 +74,7 @@ def test_arms_without_learning_change_no_weight_during_life(arm: Arm) -> None:
 
 @pytest.mark.parametrize("rule", ["td", "wire_fitting"])
 def test_wire_fitting_alone_moves_candidate_actions(rule: str) -> None:
-    config = small("neatq")
-    learning = replace(config.learning, rule=rule, epsilon=0.5)
-    run = build(replace(config, learning=learning))
+    run = build(own_ticks(small("neatq"), rule=rule, epsilon=0.5))
     before = weights(run)
     run.learner.update(next(iter(make_collector(run))))
     genomes = [genome for population in run.populations for genome in population.genomes]
@@ -98,7 +106,9 @@ def test_genes_change_by_exactly_what_was_learnt_or_not_at_all(inheritance: str)
 
 
 def test_a_newborn_in_a_running_collection_has_a_life_and_a_memory_of_its_own() -> None:
-    run = build(small("neatq", life_ticks=110))
+    config = own_ticks(small("neatq", life_ticks=110))
+    often = replace(config.evolution, ineligible_fraction=0.5)
+    run = build(replace(config, evolution=often))
     assert isinstance(run.learner, TDLearner)
     assert run.network is not None
     collector = make_collector(run)
