@@ -6,7 +6,7 @@ from neatq_torch.learning.heads import CandidateHeads, DiscreteHeads, Heads
 from neatq_torch.learning.inheritance import Heirs, Inheritance, write_back
 from neatq_torch.learning.learner import Learner, LearnerConfig, NoLearning, TDLearner
 from neatq_torch.learning.memory import TransitionMemory, over_horizon
-from neatq_torch.learning.objectives import CandidateTDLoss
+from neatq_torch.learning.objectives import Bootstrap, CandidateTDLoss
 from neatq_torch.learning.replay import PRETRAINING, pretrain
 from neatq_torch.learning.shared_replay import ReplayConfig, ReplayLearner
 from neatq_torch.learning.table import QTable, TableLearner, TablePolicy
@@ -15,6 +15,7 @@ from neatq_torch.learning.wire_fitting import WireFittingLoss, wire_fit
 
 __all__ = [
     "PRETRAINING",
+    "Bootstrap",
     "CandidateHeads",
     "CandidatePolicy",
     "CandidateTDLoss",

@@ -1,61 +1,28 @@
 """Wire fitting on stored transitions by compiled code: `WireFittingLoss` and `TDLearner` in one.
 
 Every number is that of the torch operations up to rounding, and the arenas and robots beside a
-network do not change a bit of it. All functions that numba compiles stay in this one file, as
-numba's cache does not notice when a function of another file has changed.
+network do not change a bit of it.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, cast
 
 import numpy as np
 import torch
-from numba import njit
-from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from neatq_torch.learning import wire_kernels
 from neatq_torch.learning.heads import CandidateHeads
-from neatq_torch.learning.learner import ADAM_BETAS, ADAM_EPSILON, TDLearner
+from neatq_torch.learning.learner import TDLearner
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.wire_fitting import WireFittingLoss
+from neatq_torch.learning.wire_kernels import Floats, Wires
 from neatq_torch.network import compiled, kernels
 from neatq_torch.network.plan import Program
-
-Floats = NDArray[np.float32]
-
-_ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)
-_BETA1, _BETA2 = ADAM_BETAS
-_MOVE1, _MOVE2 = np.float32(1 - _BETA1), np.float32(1 - _BETA2)
-_SMALL = np.float32(ADAM_EPSILON)
-
-
-class Wires(NamedTuple):
-    """The numbers of a `WireFittingLoss` over `CandidateHeads`.
-
-    Attributes:
-        candidates: K.
-        low: Smallest action [A].
-        unit: 1 / span of each action, 0 where there is none [A].
-        smoothing: c, in spans of the values.
-        epsilon: epsilon.
-        value_low: The value of an output of 0.
-        value_span: From there to that of an output of 1.
-        reward_scale: What rewards are multiplied by.
-    """
-
-    candidates: int
-    low: Floats
-    unit: Floats
-    smoothing: np.float32
-    epsilon: np.float32
-    value_low: np.float32
-    value_span: np.float32
-    reward_scale: np.float32
 
 
 class Lessons(NamedTuple):
@@ -126,6 +93,7 @@ def wires_of(learner: TDLearner) -> Wires:
         np.float32(loss.epsilon),
         np.float32(low),
         np.float32(high - low),
+        np.float32(loss.epsilon_greedy if loss.bootstrap == "expected" else 0),
         np.float32(1 - gamma if loss.normalize_return else 1),
     )
 
@@ -186,7 +154,7 @@ def learn(pupils: Pupils, learner: TDLearner, lessons: Lessons) -> Floats:
     networks, (arenas, steps, size, _) = len(pupils.weight), lessons.observation.shape
     robots = networks // arenas
     outputs = learner.network.outputs
-    output, following, slope = (np.empty((networks, size, outputs), np.float32) for _ in range(3))
+    output, following, chosen, slope = np.empty((4, networks, size, outputs), np.float32)
     state = np.zeros((networks, size, learner.network.state_size), np.float32)
     kept, gradient = np.empty_like(state), np.empty_like(pupils.weight)
     no_slope = np.zeros_like(state)
@@ -198,8 +166,14 @@ def learn(pupils: Pupils, learner: TDLearner, lessons: Lessons) -> Floats:
         )
         kernels.forward(*order, pupils.target, then, state, following, kept)
         kernels.forward(*order, pupils.weight, now, state, output, kept)
-        target = _targets(following, lessons.reward[:, step], lessons.discount[:, step], wires)
-        _slopes(output, lessons.action[:, step], target, wires, slope, error)
+        chooser = following
+        if learner.loss.bootstrap == "double":
+            kernels.forward(*order, pupils.weight, then, state, chosen, kept)
+            chooser = chosen
+        target = wire_kernels.targets(
+            following, chooser, lessons.reward[:, step], lessons.discount[:, step], wires
+        )
+        wire_kernels.slopes(output, lessons.action[:, step], target, wires, slope, error)
         gradient[:] = 0
         kernels.backward(
             *order,
@@ -209,7 +183,7 @@ def learn(pupils: Pupils, learner: TDLearner, lessons: Lessons) -> Floats:
             kernels.Batch(now, state, slope, no_slope),
             False,
         )
-        _step(
+        wire_kernels.step(
             pupils.weight,
             gradient,
             (pupils.first_moment, pupils.second_moment),
@@ -218,210 +192,8 @@ def learn(pupils: Pupils, learner: TDLearner, lessons: Lessons) -> Floats:
             learner.adam,
         )
         if config.target_tau is not None:
-            _follow(pupils.target, pupils.weight, np.float32(config.target_tau))
+            wire_kernels.follow(pupils.target, pupils.weight, np.float32(config.target_tau))
     return error
-
-
-@njit(cache=True, error_model="numpy")
-def _targets(following: Floats, reward: Floats, discount: Floats, wires: Wires) -> Floats:
-    """Targets of Q-learning [networks, size], from the outputs for the next states."""
-    networks, size, outputs = following.shape
-    robots, first = networks // len(reward), outputs - wires.candidates
-    target = np.empty((networks, size), np.float32)
-    for network in range(networks):
-        arena = network // robots
-        for i in range(size):
-            best = following[network, i, first]
-            for k in range(first + 1, outputs):
-                best = max(best, following[network, i, k])
-            value = wires.value_low + wires.value_span * best
-            bootstrap = discount[arena, i] * value
-            target[network, i] = reward[arena, i] * wires.reward_scale + bootstrap
-    return target
-
-
-@njit(cache=True, error_model="numpy")
-def _slopes(
-    output: Floats, action: Floats, target: Floats, wires: Wires, slope: Floats, error: Floats
-) -> None:
-    """Gradients of half the squared TD error with regard to the outputs.
-
-    Args:
-        output: [networks, size, outputs].
-        action: What was done [arenas, size, A].
-        target: [networks, size].
-        wires: The law.
-        slope: Takes the gradients, as `output`.
-        error: Takes the mean squared TD error [networks].
-    """
-    networks, size, outputs = output.shape
-    robots, candidates = networks // len(action), wires.candidates
-    # Rows over transitions, so that inner loops become vector instructions.
-    out, moved = np.empty((outputs, size), np.float32), np.empty((outputs, size), np.float32)
-    away = np.empty((outputs - candidates, size), np.float32)
-    near, gap = np.empty((candidates, size), np.float32), np.empty((candidates, size), np.float32)
-    wrong, mean, total = np.empty((3, size), np.float32)
-    for network in range(networks):
-        for i in range(size):
-            for o in range(outputs):
-                out[o, i] = output[network, i, o]
-        _distances(out, action[network // robots], wires, away)
-        _fit(out, away, wires, near, gap, mean, total)
-        best = out[outputs - candidates :]
-        squares = _ZERO
-        for i in range(size):
-            value = wires.value_low + wires.value_span * best[0, i] + gap[0, i] - mean[i]
-            wrong[i] = target[network, i] - value
-            squares += wrong[i] * wrong[i]
-        error[network] = squares / np.float32(size)
-        _spread(out, away, wires, near, gap, mean, total, wrong, moved)
-        for i in range(size):
-            for o in range(outputs):
-                slope[network, i, o] = moved[o, i]
-
-
-@njit(error_model="numpy")
-def _distances(out: Floats, action: Floats, wires: Wires, away: Floats) -> None:
-    """From each candidate to the action [size, A], in spans [K A, size]."""
-    actions = len(wires.low)
-    for row in range(len(away)):
-        a = row % actions
-        low, unit = wires.low[a], wires.unit[a]
-        within = _ONE if unit != _ZERO else _ZERO
-        for i in range(len(action)):
-            here = min(max(out[row, i], _ZERO), _ONE)
-            away[row, i] = (action[i, a] - low) * unit - within * here
-
-
-@njit(error_model="numpy")
-def _fit(
-    out: Floats,
-    away: Floats,
-    wires: Wires,
-    near: Floats,
-    gap: Floats,
-    mean: Floats,
-    total: Floats,
-) -> None:
-    """Weigh the candidates.
-
-    Args:
-        out: Outputs [outputs, size].
-        away: From candidates to actions [K A, size].
-        wires: The law.
-        near: Takes the nearness of each candidate [K, size].
-        gap: Takes what its value lacks to the best [K, size].
-        mean: Takes the mean gap by nearness [size].
-        total: Takes the sum of nearnesses [size].
-    """
-    candidates, actions, size = wires.candidates, len(wires.low), out.shape[1]
-    first = candidates * actions
-    for i in range(size):
-        mean[i], total[i] = out[first, i], _ZERO
-    for k in range(1, candidates):
-        for i in range(size):
-            mean[i] = max(mean[i], out[first + k, i])  # the best output, for now
-    for k in range(candidates):
-        for i in range(size):
-            gap[k, i] = wires.value_span * (mean[i] - out[first + k, i])
-            near[k, i] = wires.smoothing * gap[k, i] + wires.epsilon
-        for row in range(k * actions, (k + 1) * actions):
-            for i in range(size):
-                near[k, i] += away[row, i] * away[row, i]
-    for i in range(size):
-        mean[i] = _ZERO
-    for k in range(candidates):
-        for i in range(size):
-            near[k, i] = _ONE / near[k, i]
-            total[i] += near[k, i]
-            mean[i] += near[k, i] * gap[k, i]
-    for i in range(size):
-        mean[i] /= total[i]
-
-
-@njit(error_model="numpy")
-def _spread(
-    out: Floats,
-    away: Floats,
-    wires: Wires,
-    near: Floats,
-    gap: Floats,
-    mean: Floats,
-    total: Floats,
-    wrong: Floats,
-    slope: Floats,
-) -> None:
-    """The gradients [outputs, size] of transitions whose TD errors are `wrong` [size].
-
-    With n = 1 / D and M the mean of the gaps by nearness, Q = q_max - M, and
-    dM/dgap_k = n_k / sum n - c n_k^2 (gap_k - M) / sum n; a candidate u_k gets
-    dQ/du_k = -2 (a - u_k) n_k^2 (gap_k - M) / sum n. The best candidates share dQ/dq_max.
-    """
-    candidates, actions, size = wires.candidates, len(wires.low), out.shape[1]
-    first = candidates * actions
-    rest, ties = np.ones(size, np.float32), np.zeros(size, np.float32)
-    more = np.empty(size, np.float32)
-    for k in range(candidates):
-        for i in range(size):
-            share = near[k, i] / total[i]
-            more[i] = share * near[k, i] * (gap[k, i] - mean[i])
-            by_gap = share - wires.smoothing * more[i]
-            slope[first + k, i] = -wrong[i] * wires.value_span * by_gap
-            rest[i] -= by_gap
-            ties[i] += _ONE if gap[k, i] == _ZERO else _ZERO
-        for row in range(k * actions, (k + 1) * actions):
-            unit = wires.unit[row % actions]
-            for i in range(size):
-                inside = _ZERO <= out[row, i] <= _ONE and unit != _ZERO
-                step = wrong[i] * _TWO * away[row, i] * more[i]
-                slope[row, i] = step if inside else _ZERO
-    for k in range(candidates):
-        for i in range(size):
-            part = wrong[i] * wires.value_span * rest[i] / ties[i]
-            slope[first + k, i] -= part if gap[k, i] == _ZERO else _ZERO
-
-
-@njit(cache=True, error_model="numpy")
-def _step(
-    weight: Floats,
-    gradient: Floats,
-    moments: tuple[Floats, Floats],
-    steps: Floats,
-    learning_rate: Floats,
-    adam: bool,
-) -> None:
-    """One step of every network that stays finite, by Adam or by the gradient itself."""
-    changed = np.empty(weight.shape[1], np.float32)
-    for n in range(len(weight)):
-        if adam:
-            steps[n] += _ONE
-            _adam(gradient[n], moments[0][n], moments[1][n], steps[n])
-        finite = True
-        for c in range(len(changed)):
-            changed[c] = weight[n, c] - learning_rate[n] * gradient[n, c]
-            finite &= math.isfinite(changed[c])
-        if finite:
-            weight[n] = changed
-
-
-@njit(error_model="numpy")
-def _adam(gradient: Floats, first: Floats, second: Floats, steps: np.float32) -> None:
-    """Replace the gradient of one network [columns] by Adam's direction."""
-    unbiased1 = -math.expm1(steps * math.log(_BETA1))
-    unbiased2 = -math.expm1(steps * math.log(_BETA2))
-    scale = np.float32(math.sqrt(unbiased2) / unbiased1)
-    for c in range(len(gradient)):
-        first[c] += _MOVE1 * (gradient[c] - first[c])
-        second[c] += _MOVE2 * (gradient[c] * gradient[c] - second[c])
-        gradient[c] = scale * first[c] / (np.sqrt(second[c]) + _SMALL)
-
-
-@njit(cache=True, error_model="numpy")
-def _follow(target: Floats, weight: Floats, tau: np.float32) -> None:
-    """Move target weights towards the weights."""
-    for n in range(len(target)):
-        for c in range(target.shape[1]):
-            target[n, c] += tau * (weight[n, c] - target[n, c])
 
 
 def lessons_of(learner: TDLearner, drawn: Sequence[TensorDictBase], steps: int) -> Lessons:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import torch
 from tensordict import TensorDict, TensorDictBase, TensorDictParams
@@ -16,6 +16,7 @@ from torch import Tensor
 from torchrl.objectives import LossModule
 from torchrl.objectives.utils import ValueEstimators, dispatch_value_estimator
 
+Bootstrap = Literal["expected", "double"]
 _ESTIMATOR_KEYS = ("advantage", "value_target", "value", "reward", "done", "terminated")
 
 
@@ -35,6 +36,11 @@ class CandidateTDLoss(LossModule):
         normalize_return: Weigh rewards by 1 - gamma. The return of rewards in [0, 1] then lies in
             [0, 1], within the reach of a sigmoid; without it a sigmoid can never meet the target
             r + gamma max Q of rewards near 1.
+        bootstrap: What the next state is worth. None: its greatest value. "expected": that of
+            epsilon-greedy, (1 - epsilon) max + epsilon mean (van Seijen et al. 2009). "double": the
+            target parameters' value of the candidate that is best by the networks' own (van
+            Hasselt, Guez & Silver 2016); the errors of a maximum do not add up.
+        epsilon_greedy: epsilon of "expected".
         discount: gamma of each robot [*shape]; None for the estimator's own.
         reduction: `sum`, `mean` or `none`.
 
@@ -72,6 +78,8 @@ class CandidateTDLoss(LossModule):
         *,
         delay_value: bool = False,
         normalize_return: bool = False,
+        bootstrap: Bootstrap | None = None,
+        epsilon_greedy: float = 0.0,
         discount: Tensor | None = None,
         reduction: str = "sum",
     ) -> None:
@@ -80,6 +88,8 @@ class CandidateTDLoss(LossModule):
         self.out_keys = ["loss"]
         self.delay_value = delay_value
         self.normalize_return = normalize_return
+        self.bootstrap: Bootstrap | None = bootstrap
+        self.epsilon_greedy = epsilon_greedy
         self.reduction = reduction
         self.convert_to_functional(
             value_network,  # pyright: ignore[reportArgumentType]
@@ -152,4 +162,22 @@ class CandidateTDLoss(LossModule):
             following = data.get("next").clone(False)
             following.set(self.tensor_keys.reward, reward * (1 - gamma))
             data = data.copy().set("next", following)
-        return estimator.value_estimate(data, target_params=self.target_value_network_params)
+        return estimator.value_estimate(
+            data,
+            target_params=self.target_value_network_params,
+            next_value=None if self.bootstrap is None else self._next_value(data),
+        )
+
+    def _next_value(self, data: TensorDictBase) -> Tensor:
+        """What the next state is worth [*shape, ticks, 1], where that is not its greatest value."""
+        values = self._next_values(data, self.target_value_network_params)
+        best = values.amax(-1, keepdim=True)
+        if self.bootstrap == "double":
+            own = self._next_values(data, self.value_network_params)
+            return values.gather(-1, own.argmax(-1, keepdim=True))
+        return best + self.epsilon_greedy * (values.mean(-1, keepdim=True) - best)
+
+    def _next_values(self, data: TensorDictBase, params: TensorDictParams) -> Tensor:
+        following = data.get("next").clone(False)
+        with params.to_module(self.value_network):
+            return self.value_network(following).get(self.tensor_keys.action_value)

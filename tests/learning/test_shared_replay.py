@@ -11,6 +11,7 @@ from tensordict import TensorDict
 
 from neatq_torch.genome import InnovationLedger, MutationConfig, initial_genome, mutate
 from neatq_torch.learning import (
+    Bootstrap,
     CandidateHeads,
     CandidateValue,
     LearnerConfig,
@@ -141,7 +142,7 @@ def test_settings_without_sense_are_refused(wrong: dict[str, int]) -> None:
         ReplayConfig(**wrong)
 
 
-def evolved_learner(step: LearnerConfig) -> ReplayLearner:
+def evolved_learner(step: LearnerConfig, bootstrap: Bootstrap | None = None) -> ReplayLearner:
     """Two arenas of networks with hidden nodes and loops; an action that has no room, and two."""
     heads = CandidateHeads(3, [0.0, -2.0, 1.0], [1.0, 2.0, 1.0], value_range=(-1.0, 2.0))
     mutation = MutationConfig(add_node_prob=0.3, add_link_prob=0.4, recurrent_link_prob=0.2)
@@ -158,7 +159,13 @@ def evolved_learner(step: LearnerConfig) -> ReplayLearner:
     def make_loss(networks: PopulationNetwork) -> WireFittingLoss:
         values = CandidateValue(networks, heads, propose=True)
         targets = step.target_tau is not None
-        loss = WireFittingLoss(values, normalize_return=True, delay_value=targets)
+        loss = WireFittingLoss(
+            values,
+            normalize_return=True,
+            delay_value=targets,
+            bootstrap=bootstrap,
+            epsilon_greedy=0.3,
+        )
         loss.make_value_estimator(gamma=0.9)
         return loss
 
@@ -184,13 +191,24 @@ def any_batch(seed: int) -> TensorDict:
     return TensorDict(now, shape)
 
 
-@pytest.mark.parametrize("tau", [None, 0.3])
-@pytest.mark.parametrize("optimizer", ["sgd", "adam"])
+@pytest.mark.parametrize(
+    ("optimizer", "tau", "bootstrap"),
+    [
+        ("sgd", None, None),
+        ("sgd", 0.3, "double"),
+        ("adam", 0.3, None),
+        ("adam", 0.01, "double"),
+        ("adam", None, "expected"),
+    ],
+)
 def test_compiled_code_learns_what_torch_learns(
-    optimizer: Literal["sgd", "adam"], tau: float | None, monkeypatch: pytest.MonkeyPatch
+    optimizer: Literal["sgd", "adam"],
+    tau: float | None,
+    bootstrap: Bootstrap | None,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     step = LearnerConfig(learning_rate=0.01, optimizer=optimizer, target_tau=tau)
-    fast, slow = evolved_learner(step), evolved_learner(step)
+    fast, slow = (evolved_learner(step, bootstrap) for _ in range(2))
     newborn = torch.tensor([[False, True, False], [True, False, True]])
     errors = []
     for learner in (fast, slow):

@@ -188,6 +188,8 @@ def _loss(
         CandidateValue(network, heads, propose=wires),
         delay_value=learning.step.target_tau is not None,
         normalize_return=learning.normalize_return,
+        bootstrap=learning.bootstrap,
+        epsilon_greedy=learning.epsilon,
     )
     if learning.trace_decay and learning.discount:
         # Tick by tick: convolutions give other last bits when other arenas stand beside.

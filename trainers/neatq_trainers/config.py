@@ -14,7 +14,7 @@ import msgspec
 from neatq_envs.scenario import TASKS, Scenario, load_scenario
 from neatq_torch.evolution import RtNEATConfig, interval_ticks
 from neatq_torch.genome import ACTIVATIONS
-from neatq_torch.learning import Inheritance, LearnerConfig, ReplayConfig
+from neatq_torch.learning import Bootstrap, Inheritance, LearnerConfig, ReplayConfig
 from neatq_torch.network import Evaluation
 
 Arm = Literal["rtneat", "committed", "described", "neatq", "qlearning"]
@@ -78,6 +78,9 @@ class LearningConfig:
         step: Learning rate, optimiser and target parameters.
         discount: gamma of the return.
         trace_decay: lambda of the return; 0 is one-step Q-learning, 1 the whole batch.
+        bootstrap: What the next state is worth. None: the greatest value of its candidates.
+            expected: the mean over epsilon-greedy. double: by the target weights the value of the
+            candidate that is best by the network's own; needs target_tau.
         normalize_return: Weigh rewards by 1 - gamma, so that a sigmoid can reach the target.
         epsilon: Probability of starting to explore, per tick.
         max_hold_ticks: Longest run of an explored candidate; 1 is plain epsilon-greedy.
@@ -89,6 +92,7 @@ class LearningConfig:
     step: LearnerConfig = field(default_factory=LearnerConfig)
     discount: float = 0.8
     trace_decay: float = 0.0
+    bootstrap: Bootstrap | None = None
     normalize_return: bool = True
     epsilon: float = 0.1
     max_hold_ticks: int = 1
@@ -104,6 +108,11 @@ class LearningConfig:
         if self.max_hold_ticks < 1:
             raise ConfigError(
                 f"learning.max_hold_ticks: expected at least 1, got {self.max_hold_ticks}"
+            )
+        if self.bootstrap == "double" and self.step.target_tau is None:
+            raise ConfigError(
+                "learning.bootstrap: double needs learning.step.target_tau, without which there "
+                "are no target weights that could value what the network's own choose"
             )
         if self.replay.updates and self.rule != "wire_fitting":
             raise ConfigError(

@@ -160,6 +160,29 @@ GROUPS: dict[str, dict[str, Variant]] = {
         ),
     },
     "alternatives": {
+        "neatq-double": Variant(
+            base="neatq",
+            summary="neatq with double targets",
+            changes={"learning.bootstrap": "double"},
+        ),
+        "neatq-expected": Variant(
+            base="neatq",
+            summary="neatq with the targets of expected Sarsa",
+            changes={"learning.bootstrap": "expected"},
+        ),
+        "neatq-plastic": Variant(
+            base="neatq",
+            summary="neatq that forgets and learns in tens of ticks, for worlds that change",
+            changes={
+                "learning.discount": 0.8,
+                "learning.epsilon": 0.03,
+                "learning.step.learning_rate": 0.05,
+                "learning.replay.updates": 32,
+                "learning.replay.horizon": 5,
+                "learning.replay.keep_every": 1,
+                "learning.replay.capacity": 2000,
+            },
+        ),
         "neatq-darwinian": Variant(
             base="neatq",
             summary="neatq whose offspring inherit what their parents were born with",
