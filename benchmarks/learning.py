@@ -3,6 +3,9 @@
 The arm `described` with the sensors of the published code: ten candidates of four actions and a
 value for each, 950 links at the start. Batches of 40 ticks, as in a run.
 
+"shared replay" is what the arm `neatq` learns in the time of one replacement: from memory after each
+batch, and the teaching of one newborn, beside acting in these batches. CPU time.
+
 "update" is forward, TD error, backward and update of all networks (`CandidateTDLoss`, `TDLearner`)
 for recorded batches, beside a tick of the collector that recorded them: acting, the arena, TorchRL.
 CPU time. "whole trainer" compares `neatq train` with learning and without it, all else equal, in
@@ -24,6 +27,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import torch
+
 from benchmarks.measure import in_rounds, interleaved
 from benchmarks.result import Goal, Line, compare
 from benchmarks.training import trainer_tick_seconds
@@ -41,7 +46,8 @@ def run(quick: bool) -> list[Line]:
     without = replace(
         learning, learning=replace(learning.learning, rule="none", inheritance="darwinian")
     )
-    return [_update(learning, rounds=3 if quick else 9), _whole(learning, without, quick)]
+    rounds = 3 if quick else 9
+    return [_update(learning, rounds), _shared(rounds), _whole(learning, without, quick)]
 
 
 def described_with_950_links() -> RunConfig:
@@ -62,6 +68,37 @@ def _update(config: RunConfig, rounds: int) -> Line:
         unit="us",
         goal=Goal(text="at most 25 % on top", limit=SHARE, of="ratio"),
         note=PAPER,
+    )
+
+
+def _shared(rounds: int) -> Line:
+    """What `neatq` learns between two replacements beside acting until then."""
+    config = preset("wall", "neatq")
+    run = build(config)
+    batches = iter(make_collector(run))
+    ticks = round(run.populations[0].interval_ticks)
+    count = ticks // config.ticks_per_batch
+    recorded = [next(batches).clone() for _ in range(count)]
+    newborn = torch.zeros(config.shape, dtype=torch.bool)
+    newborn[0, 0] = True
+
+    def act() -> None:
+        for _ in range(count):
+            next(batches)
+
+    def learn() -> None:
+        for batch in recorded:
+            run.learner.update(batch)
+        run.learner.reset(newborn)
+
+    samples = interleaved({"act": act, "learn": learn}, rounds=rounds, seconds=0.5)
+    return compare(
+        "shared replay of `neatq`, a tick",
+        samples["learn"] / ticks * 1e6,
+        "collecting it",
+        samples["act"] / ticks * 1e6,
+        unit="us",
+        goal=Goal(text="at most 25 % on top", limit=SHARE, of="ratio"),
     )
 
 

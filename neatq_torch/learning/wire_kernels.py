@@ -104,8 +104,8 @@ def slopes(
     near, gap = np.empty((candidates, size), np.float32), np.empty((candidates, size), np.float32)
     wrong, mean, total = np.empty((3, size), np.float32)
     for network in range(networks):
-        for i in range(size):
-            for o in range(outputs):
+        for o in range(outputs):
+            for i in range(size):
                 out[o, i] = output[network, i, o]
         _distances(out, action[network // robots], wires, away)
         _fit(out, away, wires, near, gap, mean, total)
@@ -117,8 +117,8 @@ def slopes(
             squares += wrong[i] * wrong[i]
         error[network] = squares / np.float32(size)
         _spread(out, away, wires, near, gap, mean, total, wrong, moved)
-        for i in range(size):
-            for o in range(outputs):
+        for o in range(outputs):
+            for i in range(size):
                 slope[network, i, o] = moved[o, i]
 
 
