@@ -13,8 +13,8 @@ from neatq_torch.atomic import write_atomic
 from neatq_trainers.compare import variants
 from neatq_trainers.compare.cells import grid, runs_of, study_of
 from neatq_trainers.compare.check import outdated
-from neatq_trainers.compare.figures import draw_halves, draw_task
-from neatq_trainers.compare.report import HALVES_FIGURE, report
+from neatq_trainers.compare.figures import draw_halves, draw_overview, draw_task
+from neatq_trainers.compare.report import HALVES_FIGURE, OVERVIEW_FIGURE, report
 from neatq_trainers.compare.tables import Study, read_tables, write_tables
 from neatq_trainers.config import ConfigError
 from neatq_trainers.published import published_curves
@@ -121,6 +121,8 @@ def write_report(study: Study, folder: Path) -> list[str]:
     """Write report and figures; returns their names."""
     write_atomic(folder / REPORT, report(study))
     figures = {f"{task}.png": draw_task(study, task) for task in study.tasks}
+    if len(study.tasks) > 1:
+        figures[OVERVIEW_FIGURE] = draw_overview(study)
     halves = draw_halves(study)
     if halves is not None:
         figures[HALVES_FIGURE] = halves

@@ -46,6 +46,29 @@ def draw_task(study: Study, task: str) -> Figure:
     """
     figure = Figure(figsize=(8.5, 5), layout="constrained")
     axes = figure.add_subplot()
+    _draw_team(axes, study, task)
+    axes.set_title(f"Task {task}: how far the team is from the flag")
+    _legend(figure, *axes.get_legend_handles_labels())
+    return figure
+
+
+def draw_overview(study: Study) -> Figure:
+    """All tasks side by side, a panel as `draw_task` draws it for each."""
+    figure = Figure(figsize=(1.8 + 3.6 * len(study.tasks), 3.8), layout="constrained")
+    row = figure.subplots(1, len(study.tasks), squeeze=False)[0]
+    handles: dict[str, Artist] = {}
+    for axes, task in zip(row, study.tasks, strict=True):
+        _draw_team(axes, study, task)
+        axes.set_title(task)
+        lines, labels = axes.get_legend_handles_labels()
+        handles |= dict(zip(labels, lines, strict=True))
+    for axes in row[1:]:
+        axes.set_ylabel("")
+    _legend(figure, list(handles.values()), list(handles))
+    return figure
+
+
+def _draw_team(axes: Axes, study: Study, task: str) -> None:
     for arm in study.arms(task):
         _draw_arm(axes, study.curves(task, arm, "team"), colours_of(study)[arm], arm)
     for (name, algorithm), curve in published_curves().items():
@@ -54,11 +77,8 @@ def draw_task(study: Study, task: str) -> Figure:
             label = f"{algorithm} in the paper (one run)"
             axes.plot(*curve.T, color="0.6", lw=0.9, ls=style, label=label, zorder=1)
     _frame(axes, study, task)
-    axes.set_title(f"Task {task}: how far the team is from the flag")
     axes.set_ylabel("mean distance to the flag (units)")
     axes.set_xlabel(X_LABEL)
-    _legend(figure, *axes.get_legend_handles_labels())
-    return figure
 
 
 def draw_halves(study: Study) -> Figure | None:

@@ -17,7 +17,7 @@ from neatq_trainers.compare.statistics import (
 from neatq_trainers.compare.tables import RESULTS, SEEDS, Curves, Study
 from neatq_trainers.compare.variants import summary_of
 
-HALVES_FIGURE = "newborn.png"
+HALVES_FIGURE, OVERVIEW_FIGURE = "newborn.png", "overview.png"
 _NONE = "–"  # noqa: RUF001
 _LEGEND = f"""Distances are to the flag, in units; less is better. Square brackets hold 95 % \
 bootstrap intervals over seeds.
@@ -50,6 +50,8 @@ def reference_of(arms: Sequence[str]) -> str:
 def report(study: Study) -> str:
     """The whole report."""
     parts = ["# Arms beside each other\n", _LEGEND]
+    if len(study.tasks) > 1:
+        parts.append(f"![All tasks side by side]({OVERVIEW_FIGURE})\n")
     for task in study.tasks:
         parts.append(f"## {task}\n\n![Distance of the team over time]({task}.png)\n")
         parts.append(arms_table(study, task))
