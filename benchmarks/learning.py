@@ -3,8 +3,8 @@
 The arm `described` with the sensors of the published code: ten candidates of four actions and a
 value for each, 950 links at the start. Batches of 40 ticks, as in a run.
 
-"shared replay" is what the arm `neatq` learns in the time of one replacement: from memory after each
-batch, and the teaching of one newborn, beside acting in these batches. CPU time.
+"shared replay" is what the arm `neatq` learns in the time of one replacement: from memory after
+each batch, and the teaching of one newborn, beside acting in these batches. CPU time.
 
 "update" is forward, TD error, backward and update of all networks (`CandidateTDLoss`, `TDLearner`)
 for recorded batches, beside a tick of the collector that recorded them: acting, the arena, TorchRL.

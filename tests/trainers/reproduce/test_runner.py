@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,6 +39,13 @@ def means(results: Results) -> str:
 def fail_at_seed_1(task: Task) -> list[Result]:
     if 1 in task.seeds:
         raise OverflowError("seed 1 does not end well")
+    return squares(task)
+
+
+def beat_long(task: Task) -> list[Result]:
+    for beat in range(2000):
+        (task.folder / "heart").write_text(str(beat))
+        time.sleep(0.05)
     return squares(task)
 
 
@@ -142,3 +151,22 @@ def test_some_arms_can_be_asked_for(
     assert capsys.readouterr().out == "b 0\n"
     with pytest.raises(ConfigError, match="arms: expected some of a, b; got 'c'"):
         command.run_command(command.ReproduceCommand(**asked, arms=("c",)))
+
+
+def test_processes_end_when_who_asked_is_killed(tmp_path: Path) -> None:
+    asking = multiprocessing.get_context("spawn").Process(
+        target=reproduce,
+        args=(replace(SQUARES, run=beat_long, figure=None), tmp_path),
+        kwargs={"seeds": 1, "quick": False, "jobs": 1},
+    )
+    asking.start()
+    while not (hearts := list(tmp_path.rglob("heart"))):
+        assert asking.is_alive()
+        time.sleep(0.05)
+    asking.kill()
+    asking.join()
+    beats = [hearts[0].read_text()]
+    while len(beats) < 2 or beats[-1] != beats[-2]:
+        assert len(beats) < 30, "a process outlived the one that asked for it"
+        time.sleep(1)
+        beats.append(hearts[0].read_text())
