@@ -21,6 +21,7 @@ from neatq_torch.learning import (
     EpsilonGreedy,
     Learner,
     NoLearning,
+    PartialInheritance,
     QTable,
     ReplayLearner,
     TableLearner,
@@ -65,6 +66,7 @@ class Run:
         learner: Learns for all robots.
         network: All networks; None if robots learn in tables.
         populations: The genomes of each arena; empty without evolution.
+        heritage: Writes a share of what was learnt into the genes; None if all or nothing is.
         tick: Ticks so far.
     """
 
@@ -74,11 +76,12 @@ class Run:
     learner: Learner
     network: PopulationNetwork | None
     populations: list[RtNEAT]
+    heritage: PartialInheritance | None = None
     tick: int = 0
 
     def state(self) -> dict[str, Any]:
         """Everything from which `build` goes on bit for bit; take it between two batches."""
-        return {
+        state = {
             "tick": self.tick,
             "world": self.env.world_state(),
             "policy": self.policy.state(),
@@ -86,6 +89,8 @@ class Run:
             "weight": None if self.network is None else self.network.weight,
             "populations": [population.state_dict() for population in self.populations],
         }
+        parts = {"heritage": self.heritage}
+        return state | {name: part.state() for name, part in parts.items() if part is not None}
 
 
 def build(config: RunConfig, state: dict[str, Any] | None = None) -> Run:
@@ -105,6 +110,8 @@ def build(config: RunConfig, state: dict[str, Any] | None = None) -> Run:
         run.env.load_world_state(state["world"])
         run.policy.load_state(state["policy"])
         run.learner.load_state(state["learner"])
+        if run.heritage is not None:
+            run.heritage.load_state(state["heritage"])
     return run
 
 
@@ -150,6 +157,7 @@ def _network_run(config: RunConfig, env: ArenaEnv, state: dict[str, Any] | None)
     policy = CandidatePolicy(
         network, heads, exploration, double_activation=config.network.double_activation
     )
+    share = config.learning.inherited_share
     return Run(
         config=config,
         env=env,
@@ -157,6 +165,7 @@ def _network_run(config: RunConfig, env: ArenaEnv, state: dict[str, Any] | None)
         learner=_learner(config, network, heads),
         network=network,
         populations=populations,
+        heritage=None if share is None else PartialInheritance(share, populations),
     )
 
 

@@ -82,6 +82,8 @@ class LearningConfig:
         epsilon: Probability of starting to explore, per tick.
         max_hold_ticks: Longest run of an explored candidate; 1 is plain epsilon-greedy.
         inheritance: lamarckian: what was learnt is written into the genome before it breeds.
+        inherited_share: With inheritance lamarckian, how much of what was learnt since birth is
+            written into the genome, within (0, 1]; None: all of it.
         replay: What is learnt from the past of all robots; needs the rule wire_fitting.
     """
 
@@ -94,6 +96,7 @@ class LearningConfig:
     max_hold_ticks: int = 1
     inheritance: Inheritance = "lamarckian"
     replay: ReplayConfig = field(default_factory=ReplayConfig)
+    inherited_share: float | None = None
 
     def __post_init__(self) -> None:
         """Check ranges."""
@@ -110,6 +113,21 @@ class LearningConfig:
                 f"learning.replay.updates: expected 0 with learning.rule {self.rule}, got "
                 f"{self.replay.updates}; only wire_fitting knows what an action of another robot "
                 "is worth"
+            )
+        self._check_inheritance()
+
+    def _check_inheritance(self) -> None:
+        share = self.inherited_share
+        if share is None:
+            return
+        if not 0 < share <= 1:
+            raise ConfigError(
+                f"learning.inherited_share: expected a number within (0, 1], got {share}"
+            )
+        if self.inheritance == "darwinian":
+            raise ConfigError(
+                f"learning.inherited_share: expected none with inheritance darwinian, got {share}; "
+                "nothing that was learnt is inherited there"
             )
 
 

@@ -76,12 +76,15 @@ def breed(run: Run) -> Tensor:
     if network is None or not any(population.due() for population in run.populations):
         return newborn
     if run.config.learning.inheritance == "lamarckian":
-        write_back(network, run.populations)
+        inherit = write_back if run.heritage is None else run.heritage.write_back
+        inherit(network, run.populations)
     for arena, population in enumerate(run.populations):
         for replacement in population.replace():
             newborn[arena, replacement.slot] = True
             place = arena * len(population.genomes) + replacement.slot
             network.replace(place, replacement.genome)
+            if run.heritage is not None:
+                run.heritage.reset(place, replacement.genome)
     if newborn.any():
         run.learner.reset(newborn)
         run.policy.reset(newborn)

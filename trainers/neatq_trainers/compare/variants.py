@@ -165,6 +165,11 @@ GROUPS: dict[str, dict[str, Variant]] = {
             summary="neatq whose offspring inherit what their parents were born with",
             changes={"learning.inheritance": "darwinian"},
         ),
+        "neatq-half-lamarckian": Variant(
+            base="neatq",
+            summary="neatq whose offspring inherit half of what their parents learnt",
+            changes={"learning.inherited_share": 0.5},
+        ),
     },
 }
 """Variants by what they are for; the name of a group stands for all of it."""
