@@ -21,6 +21,7 @@ from neatq_torch.evolution.trials import TrialAverage, Trials, relative_fitness
 from neatq_torch.genome import (
     Genome,
     InnovationLedger,
+    ScalesOf,
     initial_genome,
     pack_genomes,
     unpack_genomes,
@@ -223,17 +224,21 @@ class RtNEAT:
         """
         return max(0, self._intervals_until(self.tick) - self._settled)
 
-    def replace(self) -> list[Replacement]:
+    def replace(self, scales_of: ScalesOf | None = None) -> list[Replacement]:
         """Perform the replacements that are due, and return them.
 
         Each time the eligible robot with the lowest fitness / species size makes room for one
         offspring of age 0. Where nobody is eligible nothing happens and nothing stays due.
+
+        Args:
+            scales_of: how far mutation moves each weight of a genome, as a multiple; None moves all
+                alike.
         """
         due = self.due()
         self._settled += due
         replacements: list[Replacement] = []
         while len(replacements) < due and self.eligible.any():
-            replacements.append(self._replace_worst())
+            replacements.append(self._replace_worst(scales_of))
         return replacements
 
     def write_back(self, slot: int, weights: ArrayLike) -> None:
@@ -277,7 +282,7 @@ class RtNEAT:
         life, share = self.config.minimum_life_ticks, self.config.ineligible_fraction
         return intervals_until(tick, life, len(self.genomes), share)
 
-    def _replace_worst(self) -> Replacement:
+    def _replace_worst(self, scales_of: ScalesOf | None) -> Replacement:
         fitness, eligible = self.fitness, self.eligible
         adjusted = fitness / self.speciation.sizes(len(self.genomes))
         slot = worst(adjusted, self._birth_order[eligible[self._birth_order]])
@@ -294,6 +299,7 @@ class RtNEAT:
             self.rng,
             genome_id=self._next_genome_id,
             interspecies=interspecies,
+            scales_of=scales_of,
         )
         self._settle(slot, genome)
         return Replacement(slot, genome, removed, tuple(one.genome.genome_id for one in parents))

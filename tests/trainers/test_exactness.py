@@ -31,6 +31,7 @@ CASES = (
     "neatq with wire fitting",
     "neatq with little memory",
     "neatq with half inheritance",
+    "neatq with safe mutation",
 )
 LONG_TICKS = 4000
 """A run that takes seconds, so that a signal meets it on its way."""
@@ -53,6 +54,8 @@ def config_of(tiny: Callable[..., RunConfig]) -> Callable[[str], RunConfig]:
             config = replace(config, learning=replace(learning, replay=replay))
         if case.endswith("half inheritance"):
             config = replace(config, learning=replace(learning, inherited_share=0.5))
+        if case.endswith("safe mutation"):
+            config = replace(config, learning=replace(learning, safe_mutation=20))
         return config
 
     return make

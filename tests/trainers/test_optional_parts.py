@@ -14,6 +14,7 @@ from neatq_trainers.config import ConfigError, preset
     ("changes", "message"),
     [
         ({"learning.inherited_share": 0.0}, r"inherited_share: expected a number within \(0, 1\]"),
+        ({"learning.safe_mutation": 0}, "safe_mutation: expected at least 1 observation"),
         (
             {"learning.inherited_share": 0.5, "learning.inheritance": "darwinian"},
             "inherited_share: expected none with inheritance darwinian, got 0.5",

@@ -84,6 +84,8 @@ class LearningConfig:
         inheritance: lamarckian: what was learnt is written into the genome before it breeds.
         inherited_share: With inheritance lamarckian, how much of what was learnt since birth is
             written into the genome, within (0, 1]; None: all of it.
+        safe_mutation: Mutation moves those weights less to which the outputs react strongly over so
+            many observations of the batch (Lehman et al. 2018); None: all weights alike.
         replay: What is learnt from the past of all robots; needs the rule wire_fitting.
     """
 
@@ -97,6 +99,7 @@ class LearningConfig:
     inheritance: Inheritance = "lamarckian"
     replay: ReplayConfig = field(default_factory=ReplayConfig)
     inherited_share: float | None = None
+    safe_mutation: int | None = None
 
     def __post_init__(self) -> None:
         """Check ranges."""
@@ -115,6 +118,11 @@ class LearningConfig:
                 "is worth"
             )
         self._check_inheritance()
+        if self.safe_mutation is not None and self.safe_mutation < 1:
+            raise ConfigError(
+                "learning.safe_mutation: expected at least 1 observation, or none, got "
+                f"{self.safe_mutation}"
+            )
 
     def _check_inheritance(self) -> None:
         share = self.inherited_share

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,9 @@ import torch
 from torch import Tensor
 from torchrl.collectors import Collector
 
+from neatq_torch.genome import ScalesOf
 from neatq_torch.learning import write_back
+from neatq_torch.network import perturbation_scales
 from neatq_trainers.build import Run
 from neatq_trainers.metrics import Row, rows
 
@@ -44,7 +47,7 @@ def strides(run: Run) -> Generator[Stride]:
                 population.record(reward)  # fitness, age
             new_rows += rows(run, batch, error)
             poses.append(batch.get("pose")[0].numpy())
-            newborn = breed(run)  # write back, replace
+            newborn = breed(run, batch.get("observation"))  # write back, replace
             if newborn.any():
                 collector.reset(index=newborn)  # a new life for a new genome
             if run.tick % run.config.stride_ticks == 0:
@@ -69,8 +72,16 @@ def make_collector(run: Run) -> Collector:
     )
 
 
-def breed(run: Run) -> Tensor:
-    """Let rtNEAT replace robots where it is due; returns the newborn [arenas, robots]."""
+def breed(run: Run, observation: Tensor | None = None) -> Tensor:
+    """Let rtNEAT replace robots where it is due.
+
+    Args:
+        run: The run.
+        observation: What robots saw last [arenas, robots, ticks, inputs], for safe mutation.
+
+    Returns:
+        The newborn [arenas, robots].
+    """
     newborn = torch.zeros(run.config.shape, dtype=torch.bool)
     network = run.network
     if network is None or not any(population.due() for population in run.populations):
@@ -79,7 +90,7 @@ def breed(run: Run) -> Tensor:
         inherit = write_back if run.heritage is None else run.heritage.write_back
         inherit(network, run.populations)
     for arena, population in enumerate(run.populations):
-        for replacement in population.replace():
+        for replacement in population.replace(_scales_of(run, arena, observation)):
             newborn[arena, replacement.slot] = True
             place = arena * len(population.genomes) + replacement.slot
             network.replace(place, replacement.genome)
@@ -89,3 +100,13 @@ def breed(run: Run) -> Tensor:
         run.learner.reset(newborn)
         run.policy.reset(newborn)
     return newborn
+
+
+def _scales_of(run: Run, arena: int, observation: Tensor | None) -> ScalesOf | None:
+    """How far mutation moves weights in an arena; None if all alike."""
+    count = run.config.learning.safe_mutation
+    if count is None or observation is None:
+        return None
+    seen = observation[arena].flatten(0, 1)
+    seen = seen[torch.arange(count) * len(seen) // count]
+    return partial(perturbation_scales, observation=seen, evaluation=run.config.network.evaluation)

@@ -170,6 +170,11 @@ GROUPS: dict[str, dict[str, Variant]] = {
             summary="neatq whose offspring inherit half of what their parents learnt",
             changes={"learning.inherited_share": 0.5},
         ),
+        "neatq-safe-mutation": Variant(
+            base="neatq",
+            summary="neatq whose mutations spare weights to which the outputs react strongly",
+            changes={"learning.safe_mutation": 100},
+        ),
     },
 }
 """Variants by what they are for; the name of a group stands for all of it."""
