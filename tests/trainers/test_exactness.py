@@ -32,6 +32,7 @@ CASES = (
     "neatq with little memory",
     "neatq with half inheritance",
     "neatq with safe mutation",
+    "neatq with novelty",
 )
 LONG_TICKS = 4000
 """A run that takes seconds, so that a signal meets it on its way."""
@@ -56,6 +57,8 @@ def config_of(tiny: Callable[..., RunConfig]) -> Callable[[str], RunConfig]:
             config = replace(config, learning=replace(learning, inherited_share=0.5))
         if case.endswith("safe mutation"):
             config = replace(config, learning=replace(learning, safe_mutation=20))
+        if case.endswith("novelty"):
+            config = replace(config, evolution=replace(config.evolution, novelty=0.5))
         return config
 
     return make

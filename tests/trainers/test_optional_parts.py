@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
+from neatq_trainers.build import build
 from neatq_trainers.compare.variants import changed
-from neatq_trainers.config import ConfigError, preset
+from neatq_trainers.config import Arm, ConfigError, RunConfig, preset
+from neatq_trainers.loop import make_collector, strides
 
 
 @pytest.mark.parametrize(
@@ -24,3 +27,26 @@ from neatq_trainers.config import ConfigError, preset
 def test_what_makes_no_sense_is_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         changed(preset("flag", "neatq"), changes)
+
+
+def small(arm: Arm = "neatq", **changes: Any) -> RunConfig:
+    size = {"scenario.robots": 6, "scenario.lifetime_ticks": 80, "evolution.minimum_life_ticks": 80}
+    return changed(preset("flag", arm), size | {"batch_ticks": 40} | changes)
+
+
+def test_the_behaviour_of_a_robot_is_where_its_life_ends() -> None:
+    config = small("rtneat", **{"evolution.novelty": 0.5})
+    ends = np.zeros((6, 2))
+    for number, batch in enumerate(make_collector(build(config))):
+        ends = batch.get(("next", "pose"))[0, :, -1, :2].numpy()
+        if number == 1:
+            assert batch.get(("next", "truncated"))[0, :, -1].all()
+            break
+    run = build(config)
+    for _ in strides(run):
+        if run.tick == 80:
+            break
+    novelty = run.populations[0].novelty
+    assert novelty is not None
+    assert novelty.latest.tolist() == ends.tolist()
+    assert np.ptp(novelty.latest, axis=0).min() > 1  # not at the spawn

@@ -43,8 +43,9 @@ def strides(run: Run) -> Generator[Stride]:
             run.tick += batch.shape[-1]
             error = run.learner.update(batch)  # learn
             rewards = batch.get(("next", "reward_vector")).numpy()
-            for population, reward in zip(run.populations, rewards, strict=False):
-                population.record(reward)  # fitness, age
+            places = batch.get(("next", "pose"))[..., :2].numpy()  # where novelty counts
+            for population, reward, place in zip(run.populations, rewards, places, strict=False):
+                population.record(reward, place)  # fitness, age
             new_rows += rows(run, batch, error)
             poses.append(batch.get("pose")[0].numpy())
             newborn = breed(run, batch.get("observation"))  # write back, replace

@@ -175,6 +175,11 @@ GROUPS: dict[str, dict[str, Variant]] = {
             summary="neatq whose mutations spare weights to which the outputs react strongly",
             changes={"learning.safe_mutation": 100},
         ),
+        "neatq-novelty": Variant(
+            base="neatq",
+            summary="neatq that selects half by fitness, half by novelty of where a life ends",
+            changes={"evolution.novelty": 0.5},
+        ),
     },
 }
 """Variants by what they are for; the name of a group stands for all of it."""
