@@ -83,7 +83,7 @@ class Replacement(NamedTuple):
         slot: place of the robot that got a new genome.
         genome: the offspring that lives there now.
         removed_genome_id: the genome that lived there before.
-        parents: genome ids of the one or two parents.
+        parents: genome ids of the one or two parents, that of the fitter one first.
     """
 
     slot: int
@@ -226,23 +226,29 @@ class RtNEAT:
         life, share = self.config.minimum_life_ticks, self.config.ineligible_fraction
         return interval_ticks(life, len(self.genomes), share)
 
-    def record(self, rewards: ArrayLike, behaviour: ArrayLike | None = None) -> None:
+    def record(
+        self,
+        rewards: ArrayLike,
+        behaviour: ArrayLike | None = None,
+        counts: ArrayLike | None = None,
+    ) -> None:
         """Let all robots live through some ticks.
 
         Args:
             rewards: [robots, ticks, dimensions].
             behaviour: [robots, ticks, dimensions of behaviour], such as where the robots are, if
                 novelty counts; what stands at the end of a trial is how the robot behaved.
+            counts: bool [robots, ticks], the ticks by which robots are judged; None for all.
 
         Raises:
             ValueError: a shape is wrong, something is not finite, or behaviour is missing.
         """
         rewards = np.asarray(rewards, dtype=np.float64)
         if self.novelty is None:
-            self.trials.record(rewards)
+            self.trials.record(rewards, counts)
         else:
             ages, behaviour = self.age_ticks.copy(), self.novelty.checked(behaviour)
-            self.trials.record(rewards)
+            self.trials.record(rewards, counts)
             self.novelty.record(ages, behaviour)
         self.tick += rewards.shape[1]
 
@@ -334,7 +340,8 @@ class RtNEAT:
             scales_of=scales_of,
         )
         self._settle(slot, genome)
-        return Replacement(slot, genome, removed, tuple(one.genome.genome_id for one in parents))
+        ranked = sorted(parents, key=lambda parent: -parent.fitness)
+        return Replacement(slot, genome, removed, tuple(one.genome.genome_id for one in ranked))
 
     def _settle(self, slot: int, genome: Genome) -> None:
         """Start the life of an offspring in an empty slot."""

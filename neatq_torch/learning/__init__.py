@@ -2,6 +2,7 @@
 
 from neatq_torch.learning.candidates import CandidatePolicy, CandidateValue
 from neatq_torch.learning.exploration import EpsilonGreedy
+from neatq_torch.learning.genes import LearningGenes
 from neatq_torch.learning.heads import CandidateHeads, DiscreteHeads, Heads
 from neatq_torch.learning.inheritance import Heirs, Inheritance, PartialInheritance, write_back
 from neatq_torch.learning.learner import Learner, LearnerConfig, NoLearning, TDLearner
@@ -26,6 +27,7 @@ __all__ = [
     "Inheritance",
     "Learner",
     "LearnerConfig",
+    "LearningGenes",
     "NoLearning",
     "PartialInheritance",
     "QTable",

@@ -33,6 +33,7 @@ CASES = (
     "neatq with half inheritance",
     "neatq with safe mutation",
     "neatq with novelty",
+    "neatq with genes",
 )
 LONG_TICKS = 4000
 """A run that takes seconds, so that a signal meets it on its way."""
@@ -57,6 +58,8 @@ def config_of(tiny: Callable[..., RunConfig]) -> Callable[[str], RunConfig]:
             config = replace(config, learning=replace(learning, inherited_share=0.5))
         if case.endswith("safe mutation"):
             config = replace(config, learning=replace(learning, safe_mutation=20))
+        if case.endswith("genes"):
+            config = replace(config, learning=replace(learning, genes=0.5))
         if case.endswith("novelty"):
             config = replace(config, evolution=replace(config.evolution, novelty=0.5))
         return config

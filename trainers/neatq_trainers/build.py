@@ -20,6 +20,7 @@ from neatq_torch.learning import (
     CandidateValue,
     EpsilonGreedy,
     Learner,
+    LearningGenes,
     NoLearning,
     PartialInheritance,
     QTable,
@@ -32,7 +33,7 @@ from neatq_torch.learning import (
 from neatq_torch.network import PopulationNetwork
 from neatq_trainers.config import LearningConfig, RunConfig
 
-EVOLUTION_STREAM, REPLAY_STREAM = 1, 2
+EVOLUTION_STREAM, REPLAY_STREAM, GENES_STREAM = 1, 2, 3
 
 
 class Policy(Protocol):
@@ -67,6 +68,7 @@ class Run:
         network: All networks; None if robots learn in tables.
         populations: The genomes of each arena; empty without evolution.
         heritage: Writes a share of what was learnt into the genes; None if all or nothing is.
+        genes: How each robot learns and explores; None if all do alike.
         tick: Ticks so far.
     """
 
@@ -77,6 +79,7 @@ class Run:
     network: PopulationNetwork | None
     populations: list[RtNEAT]
     heritage: PartialInheritance | None = None
+    genes: LearningGenes | None = None
     tick: int = 0
 
     def state(self) -> dict[str, Any]:
@@ -89,8 +92,12 @@ class Run:
             "weight": None if self.network is None else self.network.weight,
             "populations": [population.state_dict() for population in self.populations],
         }
-        parts = {"heritage": self.heritage}
-        return state | {name: part.state() for name, part in parts.items() if part is not None}
+        return state | {name: part.state() for name, part in self.optional_parts().items()}
+
+    def optional_parts(self) -> dict[str, PartialInheritance | LearningGenes]:
+        """Those that the configuration asks for, by name."""
+        parts = {"heritage": self.heritage, "genes": self.genes}
+        return {name: part for name, part in parts.items() if part is not None}
 
 
 def build(config: RunConfig, state: dict[str, Any] | None = None) -> Run:
@@ -110,8 +117,8 @@ def build(config: RunConfig, state: dict[str, Any] | None = None) -> Run:
         run.env.load_world_state(state["world"])
         run.policy.load_state(state["policy"])
         run.learner.load_state(state["learner"])
-        if run.heritage is not None:
-            run.heritage.load_state(state["heritage"])
+        for name, part in run.optional_parts().items():
+            part.load_state(state[name])
     return run
 
 
@@ -158,15 +165,28 @@ def _network_run(config: RunConfig, env: ArenaEnv, state: dict[str, Any] | None)
         network, heads, exploration, double_activation=config.network.double_activation
     )
     share = config.learning.inherited_share
+    learner = _learner(config, network, heads)
     return Run(
         config=config,
         env=env,
         policy=policy,
-        learner=_learner(config, network, heads),
+        learner=learner,
         network=network,
         populations=populations,
         heritage=None if share is None else PartialInheritance(share, populations),
+        genes=_genes(config, learner, exploration, populations),
     )
+
+
+def _genes(
+    config: RunConfig, learner: Learner, exploration: EpsilonGreedy, populations: list[RtNEAT]
+) -> LearningGenes | None:
+    if config.learning.genes is None:
+        return None
+    own = learner.learner if isinstance(learner, ReplayLearner) else learner
+    assert isinstance(own, TDLearner)  # the configuration has seen to it
+    seeds = [(seed, GENES_STREAM) for seed in _seeds(config)]
+    return LearningGenes(config.learning.genes, own, exploration, populations, seeds)
 
 
 def _learner(config: RunConfig, network: PopulationNetwork, heads: CandidateHeads) -> Learner:

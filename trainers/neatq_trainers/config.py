@@ -86,6 +86,9 @@ class LearningConfig:
             written into the genome, within (0, 1]; None: all of it.
         safe_mutation: Mutation moves those weights less to which the outputs react strongly over so
             many observations of the batch (Lehman et al. 2018); None: all weights alike.
+        genes: Learning rate and epsilon are genes, mutated by this standard deviation of their
+            logarithm, and explored ticks do not count towards fitness; None: all robots have those
+            given here.
         replay: What is learnt from the past of all robots; needs the rule wire_fitting.
     """
 
@@ -100,6 +103,7 @@ class LearningConfig:
     replay: ReplayConfig = field(default_factory=ReplayConfig)
     inherited_share: float | None = None
     safe_mutation: int | None = None
+    genes: float | None = None
 
     def __post_init__(self) -> None:
         """Check ranges."""
@@ -123,6 +127,7 @@ class LearningConfig:
                 "learning.safe_mutation: expected at least 1 observation, or none, got "
                 f"{self.safe_mutation}"
             )
+        self._check_genes()
 
     def _check_inheritance(self) -> None:
         share = self.inherited_share
@@ -136,6 +141,22 @@ class LearningConfig:
             raise ConfigError(
                 f"learning.inherited_share: expected none with inheritance darwinian, got {share}; "
                 "nothing that was learnt is inherited there"
+            )
+
+    def _check_genes(self) -> None:
+        if self.genes is None:
+            return
+        if not 0 < self.genes < math.inf:
+            raise ConfigError(f"learning.genes: expected a number above 0, got {self.genes}")
+        if self.rule not in ("td", "wire_fitting"):
+            raise ConfigError(
+                f"learning.genes: expected none with learning.rule {self.rule}, got {self.genes}; "
+                "no network learns there"
+            )
+        if not (self.epsilon and self.step.learning_rate):
+            raise ConfigError(
+                "learning.genes: expected learning.epsilon and learning.step.learning_rate above "
+                f"0, got {self.epsilon} and {self.step.learning_rate}; founders start from them"
             )
 
 

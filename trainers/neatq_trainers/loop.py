@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.collectors import Collector
 
@@ -42,10 +43,7 @@ def strides(run: Run) -> Generator[Stride]:
         for batch in collector:  # act
             run.tick += batch.shape[-1]
             error = run.learner.update(batch)  # learn
-            rewards = batch.get(("next", "reward_vector")).numpy()
-            places = batch.get(("next", "pose"))[..., :2].numpy()  # where novelty counts
-            for population, reward, place in zip(run.populations, rewards, places, strict=False):
-                population.record(reward, place)  # fitness, age
+            record(run, batch)  # fitness, age
             new_rows += rows(run, batch, error)
             poses.append(batch.get("pose")[0].numpy())
             newborn = breed(run, batch.get("observation"))  # write back, replace
@@ -73,6 +71,18 @@ def make_collector(run: Run) -> Collector:
     )
 
 
+def record(run: Run, batch: TensorDictBase) -> None:
+    """Tell rtNEAT what all robots went through in a batch [arenas, robots, ticks]."""
+    rewards = batch.get(("next", "reward_vector")).numpy()
+    places = batch.get(("next", "pose"))[..., :2].numpy()  # for novelty
+    for arena, population in enumerate(run.populations):
+        counts = None
+        if run.genes is not None:  # what a robot explored is not its fault
+            best = batch.get("action_value")[arena].argmax(-1)
+            counts = (batch.get("candidate_index")[arena] == best).numpy()
+        population.record(rewards[arena], places[arena], counts)
+
+
 def breed(run: Run, observation: Tensor | None = None) -> Tensor:
     """Let rtNEAT replace robots where it is due.
 
@@ -97,7 +107,11 @@ def breed(run: Run, observation: Tensor | None = None) -> Tensor:
             network.replace(place, replacement.genome)
             if run.heritage is not None:
                 run.heritage.reset(place, replacement.genome)
+            if run.genes is not None:
+                run.genes.inherit(arena, replacement)
     if newborn.any():
+        if run.genes is not None:
+            run.genes.express()
         run.learner.reset(newborn)
         run.policy.reset(newborn)
     return newborn

@@ -180,6 +180,11 @@ GROUPS: dict[str, dict[str, Variant]] = {
             summary="neatq that selects half by fitness, half by novelty of where a life ends",
             changes={"evolution.novelty": 0.5},
         ),
+        "neatq-genes": Variant(
+            base="neatq",
+            summary="neatq whose learning rate and epsilon evolve, scored without exploration",
+            changes={"learning.genes": 0.2},
+        ),
     },
 }
 """Variants by what they are for; the name of a group stands for all of it."""
