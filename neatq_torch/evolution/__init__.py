@@ -2,6 +2,7 @@
 
 from neatq_torch.evolution.eligibility import interval_ticks, intervals_until
 from neatq_torch.evolution.neat import NEAT, NEATConfig
+from neatq_torch.evolution.novelty import Novelty
 from neatq_torch.evolution.reproduction import (
     AS_WRITTEN,
     NEAT_2002,
@@ -21,6 +22,7 @@ __all__ = [
     "NEAT_2002",
     "OPENNERO",
     "NEATConfig",
+    "Novelty",
     "Parent",
     "Replacement",
     "ReproductionConfig",

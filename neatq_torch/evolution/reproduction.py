@@ -13,6 +13,7 @@ from neatq_torch.genome import (
     Genome,
     InnovationLedger,
     MutationConfig,
+    ScalesOf,
     compatibility,
     first_is_fitter,
     multipoint,
@@ -99,19 +100,20 @@ def offspring(
     *,
     genome_id: int,
     interspecies: bool = False,
+    scales_of: ScalesOf | None = None,
 ) -> Genome:
     """Return one offspring of one parent (a mutant) or of two.
 
     Two parents that are the same, by number or by distance 0, always have a mutated child. Parents
-    of different species (`interspecies`) pass on all their genes.
+    of different species (`interspecies`) pass on all their genes. `scales_of`: see `mutate`.
     """
     if len(parents) == 1:
-        child = mutate(parents[0].genome, config.mutation, ledger, rng)
+        child = mutate(parents[0].genome, config.mutation, ledger, rng, scales_of)
         return child.unchecked(genome_id=genome_id)
     first, second = parents
     child = _cross(first, second, config, rng, interspecies=interspecies)
     if rng.random() >= config.mate_only_prob or _are_twins(first, second, config):
-        child = mutate(child, config.mutation, ledger, rng)
+        child = mutate(child, config.mutation, ledger, rng, scales_of)
     return child.unchecked(genome_id=genome_id)
 
 

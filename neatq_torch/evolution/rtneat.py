@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from neatq_torch.evolution.chance import generator_from
 from neatq_torch.evolution.eligibility import interval_ticks, intervals_until
+from neatq_torch.evolution.novelty import Novelty, mixed
 from neatq_torch.evolution.reproduction import OPENNERO, Parent, ReproductionConfig, offspring
 from neatq_torch.evolution.selection import choose_parents, worst
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
@@ -21,6 +22,7 @@ from neatq_torch.evolution.trials import TrialAverage, Trials, relative_fitness
 from neatq_torch.genome import (
     Genome,
     InnovationLedger,
+    ScalesOf,
     initial_genome,
     pack_genomes,
     unpack_genomes,
@@ -39,6 +41,8 @@ class RtNEATConfig:
         ineligible_fraction: share of the population that is too young to be judged, in (0, 1].
         reward_weights: weight of each reward dimension in the fitness.
         trial_average: how trials are averaged, see `Trials`.
+        novelty: weight of novelty beside fitness in who lives and who breeds, in (0, 1]; None for
+            fitness alone.
     """
 
     reproduction: ReproductionConfig = OPENNERO
@@ -47,6 +51,7 @@ class RtNEATConfig:
     ineligible_fraction: float = 0.5
     reward_weights: tuple[float, ...] = (1.0,)
     trial_average: TrialAverage = "opennero"
+    novelty: float | None = None
 
     def __post_init__(self) -> None:
         """Check every value."""
@@ -67,6 +72,8 @@ class RtNEATConfig:
             raise ValueError(
                 f"trial_average must be 'opennero' or 'exponential', not {self.trial_average!r}."
             )
+        if self.novelty is not None and not 0.0 < self.novelty <= 1.0:
+            raise ValueError(f"novelty must lie in (0, 1], or be None, not {self.novelty}.")
 
 
 class Replacement(NamedTuple):
@@ -76,7 +83,7 @@ class Replacement(NamedTuple):
         slot: place of the robot that got a new genome.
         genome: the offspring that lives there now.
         removed_genome_id: the genome that lived there before.
-        parents: genome ids of the one or two parents.
+        parents: genome ids of the one or two parents, that of the fitter one first.
     """
 
     slot: int
@@ -96,6 +103,7 @@ class RtNEAT:
         ledger: historical markings.
         speciation: species and their threshold.
         trials: ages and rewards.
+        novelty: behaviours; None where they do not count.
     """
 
     def __init__(
@@ -135,6 +143,9 @@ class RtNEAT:
         dimensions = len(config.reward_weights)
         self.trials = Trials(
             len(genomes), dimensions, config.minimum_life_ticks, config.trial_average
+        )
+        self.novelty = (
+            None if config.novelty is None else Novelty(len(genomes), config.minimum_life_ticks)
         )
         self.speciation = Speciation(config.species, config.reproduction.distance)
         for slot in range(len(genomes)):
@@ -190,6 +201,15 @@ class RtNEAT:
         return relative_fitness(self.trials.averages, self.eligible, weights)
 
     @property
+    def score(self) -> NDArray[np.float64]:
+        """Float64 [robots] >= 0, by which robots live and breed: fitness, mixed with novelty."""
+        if self.novelty is None or self.config.novelty is None:
+            return self.fitness
+        eligible = self.eligible
+        novelty = self.novelty.of(np.flatnonzero(eligible))
+        return mixed(self.fitness, novelty, eligible, self.config.novelty)
+
+    @property
     def champion(self) -> int | None:
         """Slot of the fittest eligible robot, None if nobody is eligible."""
         eligible = np.flatnonzero(self.eligible)
@@ -206,14 +226,30 @@ class RtNEAT:
         life, share = self.config.minimum_life_ticks, self.config.ineligible_fraction
         return interval_ticks(life, len(self.genomes), share)
 
-    def record(self, rewards: ArrayLike) -> None:
-        """Let all robots live through rewards [robots, ticks, dimensions].
+    def record(
+        self,
+        rewards: ArrayLike,
+        behaviour: ArrayLike | None = None,
+        counts: ArrayLike | None = None,
+    ) -> None:
+        """Let all robots live through some ticks.
+
+        Args:
+            rewards: [robots, ticks, dimensions].
+            behaviour: [robots, ticks, dimensions of behaviour], such as where the robots are, if
+                novelty counts; what stands at the end of a trial is how the robot behaved.
+            counts: bool [robots, ticks], the ticks by which robots are judged; None for all.
 
         Raises:
-            ValueError: the shape is wrong or a reward is not finite.
+            ValueError: a shape is wrong, something is not finite, or behaviour is missing.
         """
         rewards = np.asarray(rewards, dtype=np.float64)
-        self.trials.record(rewards)
+        if self.novelty is None:
+            self.trials.record(rewards, counts)
+        else:
+            ages, behaviour = self.age_ticks.copy(), self.novelty.checked(behaviour)
+            self.trials.record(rewards, counts)
+            self.novelty.record(ages, behaviour)
         self.tick += rewards.shape[1]
 
     def due(self) -> int:
@@ -223,17 +259,21 @@ class RtNEAT:
         """
         return max(0, self._intervals_until(self.tick) - self._settled)
 
-    def replace(self) -> list[Replacement]:
+    def replace(self, scales_of: ScalesOf | None = None) -> list[Replacement]:
         """Perform the replacements that are due, and return them.
 
-        Each time the eligible robot with the lowest fitness / species size makes room for one
+        Each time the eligible robot with the lowest score / species size makes room for one
         offspring of age 0. Where nobody is eligible nothing happens and nothing stays due.
+
+        Args:
+            scales_of: how far mutation moves each weight of a genome, as a multiple; None moves all
+                alike.
         """
         due = self.due()
         self._settled += due
         replacements: list[Replacement] = []
         while len(replacements) < due and self.eligible.any():
-            replacements.append(self._replace_worst())
+            replacements.append(self._replace_worst(scales_of))
         return replacements
 
     def write_back(self, slot: int, weights: ArrayLike) -> None:
@@ -243,7 +283,7 @@ class RtNEAT:
 
     def state_dict(self) -> dict[str, Any]:
         """Return the whole state as JSON values and numpy arrays."""
-        return {
+        state = {
             "genomes": pack_genomes(self.genomes),
             "rng": self.rng.bit_generator.state,
             "ledger": self.ledger.state_dict(),
@@ -255,6 +295,7 @@ class RtNEAT:
             "birth_order": self._birth_order.tolist(),
             "settled": self._settled,
         }
+        return state if self.novelty is None else state | {"novelty": self.novelty.state_dict()}
 
     @classmethod
     def from_state(cls, config: RtNEATConfig, state: Mapping[str, Any]) -> Self:
@@ -267,6 +308,8 @@ class RtNEAT:
             config.species, config.reproduction.distance, state["speciation"]
         )
         population.trials.load_state(state["trials"])
+        if population.novelty is not None:
+            population.novelty.load_state(state["novelty"])
         population.births = state["births"]
         population.tick = state["tick"]
         population._birth_order = np.array(state["birth_order"], dtype=np.int64)
@@ -277,8 +320,8 @@ class RtNEAT:
         life, share = self.config.minimum_life_ticks, self.config.ineligible_fraction
         return intervals_until(tick, life, len(self.genomes), share)
 
-    def _replace_worst(self) -> Replacement:
-        fitness, eligible = self.fitness, self.eligible
+    def _replace_worst(self, scales_of: ScalesOf | None) -> Replacement:
+        fitness, eligible = self.score, self.eligible
         adjusted = fitness / self.speciation.sizes(len(self.genomes))
         slot = worst(adjusted, self._birth_order[eligible[self._birth_order]])
         removed = self.genomes[slot].genome_id
@@ -294,9 +337,11 @@ class RtNEAT:
             self.rng,
             genome_id=self._next_genome_id,
             interspecies=interspecies,
+            scales_of=scales_of,
         )
         self._settle(slot, genome)
-        return Replacement(slot, genome, removed, tuple(one.genome.genome_id for one in parents))
+        ranked = sorted(parents, key=lambda parent: -parent.fitness)
+        return Replacement(slot, genome, removed, tuple(one.genome.genome_id for one in ranked))
 
     def _settle(self, slot: int, genome: Genome) -> None:
         """Start the life of an offspring in an empty slot."""

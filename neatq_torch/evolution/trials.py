@@ -24,6 +24,7 @@ class Trials:
         sums: float64 [robots, dimensions], rewards of the running trial.
         averages: float64 [robots, dimensions], over closed trials; 0 before the first.
         closed: int64 [robots], number of closed trials.
+        counted: int64 [robots], ticks of the running trial that count.
     """
 
     def __init__(
@@ -36,17 +37,24 @@ class Trials:
         self.sums = np.zeros((robots, dimensions))
         self.averages = np.zeros((robots, dimensions))
         self.closed = np.zeros(robots, dtype=np.int64)
+        self.counted = np.zeros(robots, dtype=np.int64)
 
     @property
     def eligible(self) -> NDArray[np.bool_]:
         """Bool [robots], whether the robot has lived through its first trial."""
         return self.age_ticks >= self.trial_ticks
 
-    def record(self, rewards: ArrayLike) -> None:
-        """Add rewards [robots, ticks, dimensions]; how they are cut into batches is no matter.
+    def record(self, rewards: ArrayLike, counts: ArrayLike | None = None) -> None:
+        """Add rewards; how they are cut into batches is no matter.
+
+        Args:
+            rewards: [robots, ticks, dimensions].
+            counts: bool [robots, ticks], the ticks that count; those that do not are taken to have
+                brought as much as the others of the trial on average, or nothing where none
+                counts. None if all count.
 
         Raises:
-            ValueError: the shape is wrong or a reward is not finite.
+            ValueError: a shape is wrong or a reward is not finite.
         """
         rewards = np.asarray(rewards, dtype=np.float64)
         robots, dimensions = self.sums.shape
@@ -61,8 +69,17 @@ class Trials:
                 f"reward {rewards[robot, tick, dimension]} of robot {robot}, tick {tick}, "
                 f"dimension {dimension} is not finite."
             )
+        shape = rewards.shape[:2]
+        counts = np.ones(shape, bool) if counts is None else np.asarray(counts, bool)
+        if counts.shape != shape:
+            raise ValueError(
+                f"counts must have the shape [robots, ticks] = {list(shape)}, not "
+                f"{list(counts.shape)}."
+            )
+        rewards = np.where(counts[..., None], rewards, 0.0)
         start = 0
         for end in self._borders(rewards.shape[1]):
+            self.counted += np.count_nonzero(counts[:, start:end], axis=1)
             self._advance(rewards[:, start:end])
             start = end
 
@@ -86,13 +103,16 @@ class Trials:
     def _close(self, robots: NDArray[np.intp]) -> None:
         self.closed[robots] += 1
         closed = self.closed[robots, None]
-        sums, old = self.sums[robots], self.averages[robots]
+        # A factor of exactly 1 where all ticks count.
+        whole = self.trial_ticks / self.counted[robots, None].clip(1)
+        sums, old = self.sums[robots] * whole, self.averages[robots]
         moved = old + (sums - old) / 2
         if self.average == "opennero":
             self.averages[robots] = np.where(closed <= 2, old + sums / closed, moved)
         else:
             self.averages[robots] = np.where(closed == 1, sums, moved)
         self.sums[robots] = 0.0
+        self.counted[robots] = 0
 
     def reset(self, robot: int) -> None:
         """Start a new life in a slot: nothing of the old one is left."""
@@ -100,6 +120,7 @@ class Trials:
         self.sums[robot] = 0.0
         self.averages[robot] = 0.0
         self.closed[robot] = 0
+        self.counted[robot] = 0
 
     def state_dict(self) -> dict[str, Any]:
         """Return copies of the arrays."""
@@ -108,11 +129,15 @@ class Trials:
             "sums": self.sums.copy(),
             "averages": self.averages.copy(),
             "closed": self.closed.copy(),
+            "counted": self.counted.copy(),
         }
 
     def load_state(self, state: Mapping[str, Any]) -> None:
         """Take over what `state_dict` gave; ValueError if the population is of another size."""
-        for name in ("age_ticks", "sums", "averages", "closed"):
+        # Where nothing is said of it, all ticks of the running trial counted.
+        counted = np.array(state["age_ticks"], dtype=np.int64) % self.trial_ticks
+        state = {"counted": counted, **state}
+        for name in ("age_ticks", "sums", "averages", "closed", "counted"):
             own = getattr(self, name)
             array = np.array(state[name], dtype=own.dtype)
             if array.shape != own.shape:

@@ -24,7 +24,7 @@ from neatq_torch.genome.genome import (
 from neatq_torch.genome.graph import node_levels, reaches
 from neatq_torch.genome.initial import initial_genome, layered_genome, random_genome
 from neatq_torch.genome.innovation import InnovationLedger, LinkInnovation, Split
-from neatq_torch.genome.mutation import mutate, mutate_weights
+from neatq_torch.genome.mutation import ScalesOf, mutate, mutate_weights
 from neatq_torch.genome.mutation_config import MutationConfig
 from neatq_torch.genome.pack import pack_genomes, unpack_genomes
 from neatq_torch.genome.structural import add_link, add_node, reenable, toggle_enable
@@ -40,6 +40,7 @@ __all__ = [
     "LinkTable",
     "MutationConfig",
     "NodeKind",
+    "ScalesOf",
     "Split",
     "add_link",
     "add_node",

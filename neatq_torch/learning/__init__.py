@@ -2,8 +2,9 @@
 
 from neatq_torch.learning.candidates import CandidatePolicy, CandidateValue
 from neatq_torch.learning.exploration import EpsilonGreedy
+from neatq_torch.learning.genes import LearningGenes
 from neatq_torch.learning.heads import CandidateHeads, DiscreteHeads, Heads
-from neatq_torch.learning.inheritance import Heirs, Inheritance, write_back
+from neatq_torch.learning.inheritance import Heirs, Inheritance, PartialInheritance, write_back
 from neatq_torch.learning.learner import Learner, LearnerConfig, NoLearning, TDLearner
 from neatq_torch.learning.memory import TransitionMemory, over_horizon
 from neatq_torch.learning.objectives import Bootstrap, CandidateTDLoss
@@ -27,7 +28,9 @@ __all__ = [
     "Inheritance",
     "Learner",
     "LearnerConfig",
+    "LearningGenes",
     "NoLearning",
+    "PartialInheritance",
     "QTable",
     "ReplayConfig",
     "ReplayLearner",

@@ -157,10 +157,19 @@ class PopulationNetwork(nn.Module):
             yield self._link_weights(index, row)
 
     def _link_weights(self, index: int, row: np.ndarray) -> np.ndarray:
-        plan = self._plans[index]
-        weights = self._genomes[index].link_weight.copy()
-        weights[plan.enabled] = row[plan.column]
-        return weights
+        return self.by_link(index, row, self._genomes[index].link_weight)
+
+    def by_link(self, index: int, row: np.ndarray, disabled: np.ndarray) -> np.ndarray:
+        """Read a row of `weight`, or of its gradient, in the order of a genome's links.
+
+        Args:
+            index: The network's place (flat).
+            row: A number for each column [columns].
+            disabled: A number for each link [links], kept by those that are disabled.
+        """
+        plan, values = self._plans[index], disabled.copy()
+        values[plan.enabled] = row[plan.column]
+        return values
 
     @torch.no_grad()
     def replace(self, index: int, genome: Genome) -> None:

@@ -259,6 +259,7 @@ def test_a_population_too_small_or_with_a_number_twice_is_refused() -> None:
         ({"ineligible_fraction": 0.0}, r"ineligible_fraction must lie in \(0, 1\]"),
         ({"reward_weights": ()}, "one finite number for each reward dimension"),
         ({"reward_weights": (float("nan"),)}, "one finite number for each reward dimension"),
+        ({"novelty": 0.0}, r"novelty must lie in \(0, 1\], or be None, not 0.0"),
         ({"trial_average": "mean"}, "trial_average must be"),
     ],
 )

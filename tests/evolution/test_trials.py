@@ -83,6 +83,47 @@ def test_the_cut_into_batches_does_not_matter_to_the_last_bit(
         assert array.tobytes() == getattr(ticks, name).tobytes()
 
 
+def test_ticks_that_do_not_count_are_taken_to_be_like_the_others() -> None:
+    trials = Trials(2, 1, 4, "opennero")
+    counts = np.array([[True, False, True, False], [False] * 4])
+    rewards = np.array([[1.0, 100.0, 2.0, -9.0], [5.0] * 4])[..., None]
+    trials.record(rewards[:, :3], counts[:, :3])
+    assert trials.counted.tolist() == [2, 0]
+    trials.record(rewards[:, 3:], counts[:, 3:])
+    # 3 in two ticks that count make 6 in four.
+    assert trials.averages[:, 0].tolist() == [6.0, 0.0]
+    trials.record(rewards)
+    assert trials.averages[:, 0].tolist() == [6.0 + 94.0 / 2, 0.0 + 20.0 / 2]
+    trials.record(rewards[:, :3], counts[:, :3])
+    trials.reset(0)
+    assert trials.counted.tolist() == [0, 0]
+
+
+@given(st.lists(st.integers(0, 12), min_size=1, max_size=6), st.integers(0, 100))
+def test_the_cut_into_batches_does_not_matter_to_ticks_that_count(
+    batches: list[int], seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    rewards, counts = rng.normal(size=(3, sum(batches), 1)), rng.random((3, sum(batches))) < 0.7
+    whole, parts = (Trials(3, 1, 4, "opennero") for _ in range(2))
+    whole.record(rewards, counts)
+    cuts = np.cumsum(batches)
+    for some, flags in zip(np.split(rewards, cuts, 1), np.split(counts, cuts, 1), strict=True):
+        parts.record(some, flags)
+    for name, array in whole.state_dict().items():
+        assert array.tobytes() == getattr(parts, name).tobytes()
+
+
+def test_a_state_that_does_not_say_which_ticks_counted_means_all() -> None:
+    trials, copy = (Trials(1, 1, 10, "opennero") for _ in range(2))
+    trials.record(np.ones((1, 17, 1)))
+    state = trials.state_dict()
+    copy.load_state({name: array for name, array in state.items() if name != "counted"})
+    assert copy.counted.tolist() == trials.counted.tolist() == [7]
+    with pytest.raises(ValueError, match=r"\[robots, ticks\] = \[1, 5\], not \[1, 4\]"):
+        copy.record(np.ones((1, 5, 1)), np.ones((1, 4)))
+
+
 def test_sums_are_kept_in_double_precision() -> None:
     trials = Trials(1, 1, 3000, "opennero")
     trials.record(np.full((1, 2000, 1), 0.1, dtype=np.float32))

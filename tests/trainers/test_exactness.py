@@ -25,7 +25,16 @@ from neatq_trainers.run_folder import CHECKPOINT, CONFIG, METRICS, RunFolder
 from neatq_trainers.train import resume, start
 
 ARMS = ("rtneat", "committed", "described", "neatq", "qlearning")
-CASES = (*ARMS, "neatq with own ticks", "neatq with wire fitting", "neatq with little memory")
+CASES = (
+    *ARMS,
+    "neatq with own ticks",
+    "neatq with wire fitting",
+    "neatq with little memory",
+    "neatq with half inheritance",
+    "neatq with safe mutation",
+    "neatq with novelty",
+    "neatq with genes",
+)
 LONG_TICKS = 4000
 """A run that takes seconds, so that a signal meets it on its way."""
 State = dict[str, Any]
@@ -45,6 +54,14 @@ def config_of(tiny: Callable[..., RunConfig]) -> Callable[[str], RunConfig]:
         if case.endswith("little memory"):
             replay = ReplayConfig(updates=2, newborn_updates=3, size=16, capacity=300)
             config = replace(config, learning=replace(learning, replay=replay))
+        if case.endswith("half inheritance"):
+            config = replace(config, learning=replace(learning, inherited_share=0.5))
+        if case.endswith("safe mutation"):
+            config = replace(config, learning=replace(learning, safe_mutation=20))
+        if case.endswith("genes"):
+            config = replace(config, learning=replace(learning, genes=0.5))
+        if case.endswith("novelty"):
+            config = replace(config, evolution=replace(config.evolution, novelty=0.5))
         return config
 
     return make

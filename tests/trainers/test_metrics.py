@@ -10,6 +10,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from neatq_torch.learning import LearningGenes
 from neatq_trainers.build import Run
 from neatq_trainers.metrics import HEADER, Row, rows
 
@@ -27,8 +28,12 @@ def population(eligible: list[bool], champion: int | None) -> SimpleNamespace:
 
 
 def run_of(tick: int, *populations: SimpleNamespace, epsilon: float = 0.25) -> Run:
-    config = SimpleNamespace(learning=SimpleNamespace(epsilon=epsilon))
-    return cast(Run, SimpleNamespace(tick=tick, populations=list(populations), config=config))
+    parts = {
+        "config": SimpleNamespace(learning=SimpleNamespace(epsilon=epsilon)),
+        "populations": list(populations),
+        "genes": None,
+    }
+    return cast(Run, SimpleNamespace(tick=tick, **parts))
 
 
 def batch_of(distance: Any) -> TensorDict:
@@ -60,6 +65,13 @@ def test_a_row_by_hand() -> None:
         epsilon=0.25,
     )
     assert row.csv() == "0,100,10,30,60,40,10,20,6,2,6,1,0.5,0.25\n"
+
+
+def test_where_epsilon_is_a_gene_a_row_has_its_mean() -> None:
+    run = run_of(100)
+    run.genes = cast(LearningGenes, SimpleNamespace(values=np.array([[[9.0, 0.1], [9.0, 0.5]]])))
+    (row,) = rows(run, batch_of([[[1], [2], [3]]]), torch.zeros(1, 3))
+    assert row.epsilon == pytest.approx(0.3)
 
 
 def test_without_anybody_eligible_and_without_learning_cells_are_empty() -> None:

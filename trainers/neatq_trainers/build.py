@@ -20,7 +20,9 @@ from neatq_torch.learning import (
     CandidateValue,
     EpsilonGreedy,
     Learner,
+    LearningGenes,
     NoLearning,
+    PartialInheritance,
     QTable,
     ReplayLearner,
     TableLearner,
@@ -31,7 +33,7 @@ from neatq_torch.learning import (
 from neatq_torch.network import PopulationNetwork
 from neatq_trainers.config import LearningConfig, RunConfig
 
-EVOLUTION_STREAM, REPLAY_STREAM = 1, 2
+EVOLUTION_STREAM, REPLAY_STREAM, GENES_STREAM = 1, 2, 3
 
 
 class Policy(Protocol):
@@ -65,6 +67,8 @@ class Run:
         learner: Learns for all robots.
         network: All networks; None if robots learn in tables.
         populations: The genomes of each arena; empty without evolution.
+        heritage: Writes a share of what was learnt into the genes; None if all or nothing is.
+        genes: How each robot learns and explores; None if all do alike.
         tick: Ticks so far.
     """
 
@@ -74,11 +78,13 @@ class Run:
     learner: Learner
     network: PopulationNetwork | None
     populations: list[RtNEAT]
+    heritage: PartialInheritance | None = None
+    genes: LearningGenes | None = None
     tick: int = 0
 
     def state(self) -> dict[str, Any]:
         """Everything from which `build` goes on bit for bit; take it between two batches."""
-        return {
+        state = {
             "tick": self.tick,
             "world": self.env.world_state(),
             "policy": self.policy.state(),
@@ -86,6 +92,12 @@ class Run:
             "weight": None if self.network is None else self.network.weight,
             "populations": [population.state_dict() for population in self.populations],
         }
+        return state | {name: part.state() for name, part in self.optional_parts().items()}
+
+    def optional_parts(self) -> dict[str, PartialInheritance | LearningGenes]:
+        """Those that the configuration asks for, by name."""
+        parts = {"heritage": self.heritage, "genes": self.genes}
+        return {name: part for name, part in parts.items() if part is not None}
 
 
 def build(config: RunConfig, state: dict[str, Any] | None = None) -> Run:
@@ -105,6 +117,8 @@ def build(config: RunConfig, state: dict[str, Any] | None = None) -> Run:
         run.env.load_world_state(state["world"])
         run.policy.load_state(state["policy"])
         run.learner.load_state(state["learner"])
+        for name, part in run.optional_parts().items():
+            part.load_state(state[name])
     return run
 
 
@@ -150,14 +164,29 @@ def _network_run(config: RunConfig, env: ArenaEnv, state: dict[str, Any] | None)
     policy = CandidatePolicy(
         network, heads, exploration, double_activation=config.network.double_activation
     )
+    share = config.learning.inherited_share
+    learner = _learner(config, network, heads)
     return Run(
         config=config,
         env=env,
         policy=policy,
-        learner=_learner(config, network, heads),
+        learner=learner,
         network=network,
         populations=populations,
+        heritage=None if share is None else PartialInheritance(share, populations),
+        genes=_genes(config, learner, exploration, populations),
     )
+
+
+def _genes(
+    config: RunConfig, learner: Learner, exploration: EpsilonGreedy, populations: list[RtNEAT]
+) -> LearningGenes | None:
+    if config.learning.genes is None:
+        return None
+    own = learner.learner if isinstance(learner, ReplayLearner) else learner
+    assert isinstance(own, TDLearner)  # the configuration has seen to it
+    seeds = [(seed, GENES_STREAM) for seed in _seeds(config)]
+    return LearningGenes(config.learning.genes, own, exploration, populations, seeds)
 
 
 def _learner(config: RunConfig, network: PopulationNetwork, heads: CandidateHeads) -> Learner:

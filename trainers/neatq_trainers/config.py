@@ -85,6 +85,13 @@ class LearningConfig:
         epsilon: Probability of starting to explore, per tick.
         max_hold_ticks: Longest run of an explored candidate; 1 is plain epsilon-greedy.
         inheritance: lamarckian: what was learnt is written into the genome before it breeds.
+        inherited_share: With inheritance lamarckian, how much of what was learnt since birth is
+            written into the genome, within (0, 1]; None: all of it.
+        safe_mutation: Mutation moves those weights less to which the outputs react strongly over so
+            many observations of the batch (Lehman et al. 2018); None: all weights alike.
+        genes: Learning rate and epsilon are genes, mutated by this standard deviation of their
+            logarithm, and explored ticks do not count towards fitness; None: all robots have those
+            given here.
         replay: What is learnt from the past of all robots; needs the rule wire_fitting.
     """
 
@@ -98,6 +105,9 @@ class LearningConfig:
     max_hold_ticks: int = 1
     inheritance: Inheritance = "lamarckian"
     replay: ReplayConfig = field(default_factory=ReplayConfig)
+    inherited_share: float | None = None
+    safe_mutation: int | None = None
+    genes: float | None = None
 
     def __post_init__(self) -> None:
         """Check ranges."""
@@ -119,6 +129,43 @@ class LearningConfig:
                 f"learning.replay.updates: expected 0 with learning.rule {self.rule}, got "
                 f"{self.replay.updates}; only wire_fitting knows what an action of another robot "
                 "is worth"
+            )
+        self._check_inheritance()
+        if self.safe_mutation is not None and self.safe_mutation < 1:
+            raise ConfigError(
+                "learning.safe_mutation: expected at least 1 observation, or none, got "
+                f"{self.safe_mutation}"
+            )
+        self._check_genes()
+
+    def _check_inheritance(self) -> None:
+        share = self.inherited_share
+        if share is None:
+            return
+        if not 0 < share <= 1:
+            raise ConfigError(
+                f"learning.inherited_share: expected a number within (0, 1], got {share}"
+            )
+        if self.inheritance == "darwinian":
+            raise ConfigError(
+                f"learning.inherited_share: expected none with inheritance darwinian, got {share}; "
+                "nothing that was learnt is inherited there"
+            )
+
+    def _check_genes(self) -> None:
+        if self.genes is None:
+            return
+        if not 0 < self.genes < math.inf:
+            raise ConfigError(f"learning.genes: expected a number above 0, got {self.genes}")
+        if self.rule not in ("td", "wire_fitting"):
+            raise ConfigError(
+                f"learning.genes: expected none with learning.rule {self.rule}, got {self.genes}; "
+                "no network learns there"
+            )
+        if not (self.epsilon and self.step.learning_rate):
+            raise ConfigError(
+                "learning.genes: expected learning.epsilon and learning.step.learning_rate above "
+                f"0, got {self.epsilon} and {self.step.learning_rate}; founders start from them"
             )
 
 

@@ -79,9 +79,16 @@ def rows(run: Run, batch: TensorDictBase, error: Tensor) -> Iterator[Row]:
             }
             learning = {
                 "td_loss": None if np.isnan(loss[arena]) else float(loss[arena]),
-                "epsilon": run.config.learning.epsilon,
+                "epsilon": _epsilon(run, arena),
             }
             yield Row(arena=arena, tick=tick, **distances, **_judged(population, now), **learning)
+
+
+def _epsilon(run: Run, arena: int) -> float:
+    """That of all robots; where it is a gene, their mean."""
+    if run.genes is None:
+        return run.config.learning.epsilon
+    return float(run.genes.values[arena, :, 1].mean())
 
 
 def _judged(population: RtNEAT | None, now: np.ndarray) -> dict[str, Any]:

@@ -188,6 +188,26 @@ GROUPS: dict[str, dict[str, Variant]] = {
             summary="neatq whose offspring inherit what their parents were born with",
             changes={"learning.inheritance": "darwinian"},
         ),
+        "neatq-half-lamarckian": Variant(
+            base="neatq",
+            summary="neatq whose offspring inherit half of what their parents learnt",
+            changes={"learning.inherited_share": 0.5},
+        ),
+        "neatq-safe-mutation": Variant(
+            base="neatq",
+            summary="neatq whose mutations spare weights to which the outputs react strongly",
+            changes={"learning.safe_mutation": 100},
+        ),
+        "neatq-novelty": Variant(
+            base="neatq",
+            summary="neatq that selects half by fitness, half by novelty of where a life ends",
+            changes={"evolution.novelty": 0.5},
+        ),
+        "neatq-genes": Variant(
+            base="neatq",
+            summary="neatq whose learning rate and epsilon evolve, scored without exploration",
+            changes={"learning.genes": 0.2},
+        ),
     },
 }
 """Variants by what they are for; the name of a group stands for all of it."""
