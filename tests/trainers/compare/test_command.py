@@ -82,7 +82,7 @@ def test_all_is_made_again_from_tables_without_a_run(
     assert (status, error) == (0, "")
     warning, written = out.splitlines()
     assert warning == "neatq: saved: rtneat on flag has another configuration in this version"
-    assert written == "neatq: saved: report.md, flag.png"
+    assert written == "neatq: saved: report.md, flag.png, differences.png"
     compare("--results", "saved", "--arms", "mine", "--out", "copy")
     assert read_tables(Path("copy")).arms() == ["mine"]
     assert Path("copy/results.csv.gz").is_file()

@@ -13,8 +13,8 @@ from neatq_torch.atomic import write_atomic
 from neatq_trainers.compare import variants
 from neatq_trainers.compare.cells import grid, runs_of, study_of
 from neatq_trainers.compare.check import outdated
-from neatq_trainers.compare.figures import draw_halves, draw_overview, draw_task
-from neatq_trainers.compare.report import HALVES_FIGURE, OVERVIEW_FIGURE, report
+from neatq_trainers.compare.figures import draw_differences, draw_halves, draw_overview, draw_task
+from neatq_trainers.compare.report import DIFFERENCES_FIGURE, HALVES_FIGURE, OVERVIEW_FIGURE, report
 from neatq_trainers.compare.tables import Study, read_tables, write_tables
 from neatq_trainers.config import ConfigError
 from neatq_trainers.published import published_curves
@@ -123,6 +123,8 @@ def write_report(study: Study, folder: Path) -> list[str]:
     figures = {f"{task}.png": draw_task(study, task) for task in study.tasks}
     if len(study.tasks) > 1:
         figures[OVERVIEW_FIGURE] = draw_overview(study)
+    if len(study.arms()) > 1:
+        figures[DIFFERENCES_FIGURE] = draw_differences(study)
     halves = draw_halves(study)
     if halves is not None:
         figures[HALVES_FIGURE] = halves

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from neatq_trainers.compare.statistics import band, mean_of_known
+from neatq_trainers.compare.report import paired_differences, reference_of
+from neatq_trainers.compare.statistics import band, mean_estimate, mean_of_known
 from neatq_trainers.compare.tables import POINT_TICKS, Curves, Study
 from neatq_trainers.compare.variants import ARMS
 from neatq_trainers.metrics import ROW_TICKS
@@ -79,6 +80,45 @@ def _draw_team(axes: Axes, study: Study, task: str) -> None:
     _frame(axes, study, task)
     axes.set_ylabel("mean distance to the flag (units)")
     axes.set_xlabel(X_LABEL)
+
+
+def draw_differences(study: Study) -> Figure:
+    """Each arm's distance less that of the reference, over the last tenth, with 95 % intervals.
+
+    Means over pairs of equal seeds, a panel for each task; left of the line is nearer to the flag.
+    """
+    reference = reference_of(study.arms())
+    arms = [arm for arm in study.arms() if arm != reference]
+    size = 3 + 2.6 * len(study.tasks), 1.2 + 0.28 * len(arms)
+    figure = Figure(figsize=size, layout="constrained")
+    row = figure.subplots(1, len(study.tasks), squeeze=False, sharey=True)[0]
+    for axes, task in zip(row, study.tasks, strict=True):
+        for place, arm in enumerate(arms):
+            _draw_difference(axes, study, task, (reference, arm), place)
+        axes.axvline(0, color="0.4", lw=0.8)
+        axes.set_title(task, fontsize=10)
+        axes.grid(alpha=0.3, axis="x")
+        axes.margins(x=0.1)
+    row[0].set_yticks(range(len(arms)), arms)
+    row[0].set_ylim(len(arms) - 0.5, -0.5)
+    figure.supxlabel(
+        f"difference to {reference} (units; left of the line is nearer to the flag)", fontsize=10
+    )
+    return figure
+
+
+def _draw_difference(
+    axes: Axes, study: Study, task: str, arms: tuple[str, str], place: int
+) -> None:
+    theirs, ours = arms
+    if not set(arms) <= set(study.arms(task)):
+        return
+    curves = (study.curves(task, arm, "team") for arm in (ours, theirs))
+    apart = paired_differences(*curves)
+    if apart.size:
+        mean, low, high = mean_estimate(apart)
+        colour = "tab:green" if high < 0 else "tab:red" if low > 0 else "0.4"
+        axes.errorbar(mean, place, xerr=[[mean - low], [high - mean]], fmt="o", ms=4, color=colour)
 
 
 def draw_halves(study: Study) -> Figure | None:

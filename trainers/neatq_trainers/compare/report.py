@@ -18,6 +18,7 @@ from neatq_trainers.compare.tables import RESULTS, SEEDS, Curves, Study
 from neatq_trainers.compare.variants import summary_of
 
 HALVES_FIGURE, OVERVIEW_FIGURE = "newborn.png", "overview.png"
+DIFFERENCES_FIGURE = "differences.png"
 _NONE = "–"  # noqa: RUF001
 _LEGEND = f"""Distances are to the flag, in units; less is better. Square brackets hold 95 % \
 bootstrap intervals over seeds.
@@ -52,6 +53,8 @@ def report(study: Study) -> str:
     parts = ["# Arms beside each other\n", _LEGEND]
     if len(study.tasks) > 1:
         parts.append(f"![All tasks side by side]({OVERVIEW_FIGURE})\n")
+    if len(study.arms()) > 1:
+        parts.append(f"![Differences to {reference_of(study.arms())}]({DIFFERENCES_FIGURE})\n")
     for task in study.tasks:
         parts.append(f"## {task}\n\n![Distance of the team over time]({task}.png)\n")
         parts.append(arms_table(study, task))
