@@ -142,7 +142,11 @@ def _table_run(config: RunConfig, env: ArenaEnv, _: dict[str, Any] | None) -> Ru
 
 
 def _network_run(config: RunConfig, env: ArenaEnv, state: dict[str, Any] | None) -> Run:
-    heads = CandidateHeads(config.network.candidates, *_action_bounds(env))
+    heads = CandidateHeads(
+        config.network.candidates,
+        *_action_bounds(env),
+        value_range=config.network.value_range or (0.0, 1.0),
+    )
     if state is None:
         populations = [_founders(config, env, heads.outputs, seed) for seed in _seeds(config)]
     else:

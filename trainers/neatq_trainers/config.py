@@ -49,17 +49,22 @@ class NetworkConfig:
         evaluation: settle: forward links within one tick; synchronous: one propagation a tick.
         activation: Of the outputs of the first genomes.
         double_activation: Activate again with the observation before (published rtNEAT+Q).
+        value_range: The Q-values that outputs of 0 and 1 stand for (Whiteson & Stone 2006), for
+            rewards that differ little; None is 0 and 1, the range of all rewards.
     """
 
     candidates: int = 10
     evaluation: Evaluation = "settle"
     activation: str = "sigmoid"
     double_activation: bool = False
+    value_range: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Check ranges."""
         if self.candidates < 1:
             raise ConfigError(f"network.candidates: expected at least 1, got {self.candidates}")
+        if self.value_range is not None and not self.value_range[0] < self.value_range[1]:
+            raise ConfigError(f"network.value_range: expected low < high, got {self.value_range}")
         if self.activation not in ACTIVATIONS:
             raise ConfigError(
                 f"network.activation: expected one of {', '.join(ACTIVATIONS)}; got "

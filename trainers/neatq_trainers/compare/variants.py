@@ -147,6 +147,20 @@ GROUPS: dict[str, dict[str, Variant]] = {
             summary="evolution alone, with neatq's senses and as few newborns",
             changes={**_WORLD, **_SPARING},
         ),
+        "neatq-published-reward": Variant(
+            base="neatq",
+            summary="neatq with the published reward, which lies in a twentieth of the values",
+            changes={"scenario.reward": "published", "network.value_range": (0.95, 1.0)},
+        ),
+        "neatq-published-world": Variant(
+            base="neatq",
+            summary="neatq with the published reward, sensors and actions",
+            changes={
+                "scenario.reward": "published",
+                "scenario.sensors": "opennero",
+                "network.value_range": (0.95, 1.0),
+            },
+        ),
         "neatq-frozen": Variant(
             base="neatq",
             summary="neatq whose networks choose among candidates but learn nothing",
