@@ -11,7 +11,7 @@ from tensordict import TensorDict
 
 from neatq_torch.learning import LearnerConfig, ReplayConfig, TDLearner
 from neatq_trainers.build import Run, build
-from neatq_trainers.config import Arm, RunConfig, preset
+from neatq_trainers.config import Arm, ConfigError, RunConfig, preset
 from neatq_trainers.loop import breed, make_collector
 
 
@@ -135,3 +135,14 @@ def test_a_newborn_in_a_running_collection_has_a_life_and_a_memory_of_its_own() 
     run.learner.update(batch)
     changed = (run.network.weight != before).any(1)
     assert torch.equal(changed, ~newborn.flatten())
+
+
+def test_values_are_read_on_the_range_that_is_asked_for() -> None:
+    config = small("neatq")
+    network = replace(config.network, value_range=(0.9, 1.0))
+    run = build(replace(config, network=network))
+    batch = next(iter(make_collector(run)))
+    values = batch.get("action_value")
+    assert ((values >= 0.9) & (values <= 1.0)).all()
+    with pytest.raises(ConfigError, match="value_range: expected low < high"):
+        replace(config.network, value_range=(1.0, 1.0))
