@@ -6,9 +6,9 @@ value for each, 950 links at the start. Batches of 40 ticks, as in a run.
 "shared replay" is what the arm `neatq` learns in the time of one replacement: from memory after
 each batch, and the teaching of one newborn, beside acting in these batches. CPU time.
 
-It falls short of a quarter on top of acting, and is a fifth of a tick of the whole trainer (the
-row below): half of it is evaluating networks three times for each minibatch, a quarter the gradient
-of wire fitting, a sixth the teaching.
+It falls short of a quarter on top of acting, and is about a fifth of a tick of the whole trainer
+(row `trainer`): every minibatch takes three passes through all networks and the gradient of wire
+fitting.
 
 "update" is forward, TD error, backward and update of all networks (`CandidateTDLoss`, `TDLearner`)
 for recorded batches, beside a tick of the collector that recorded them: acting, the arena, TorchRL.
