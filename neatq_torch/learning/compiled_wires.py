@@ -19,20 +19,21 @@ from neatq_torch.learning import wire_kernels
 from neatq_torch.learning.heads import CandidateHeads
 from neatq_torch.learning.learner import TDLearner
 from neatq_torch.learning.objectives import CandidateTDLoss
-from neatq_torch.learning.wire_fitting import WireFittingLoss
+from neatq_torch.learning.wire_fitting import SEPARATION_WIDTH, WireFittingLoss
 from neatq_torch.learning.wire_kernels import Floats, Wires
 from neatq_torch.network import compiled, kernels
 from neatq_torch.network.plan import Program
 
 
 class Lessons(NamedTuple):
-    """Minibatches of transitions; one row of arenas for all robots of an arena.
+    """Minibatches of transitions, which all robots of an arena share.
 
     Attributes:
         observation: [arenas, steps, size, inputs].
         action: [arenas, steps, size, A].
-        reward: [arenas, steps, size].
-        discount: Of the next state's value, 0 where that is terminal [arenas, steps, size].
+        reward: Weighed sums; where each network has a gamma of its own, `arenas` are networks here
+            [arenas, steps, size].
+        discount: Of the next state's value, 0 where that is terminal; likewise.
         following: The next observation [arenas, steps, size, inputs].
     """
 
@@ -74,7 +75,6 @@ def serves(learner: TDLearner) -> bool:
     return (
         type(loss) is WireFittingLoss
         and loss.reduction == "sum"
-        and loss.discount is None
         and compiled.serves(learner.network.weight)
     )
 
@@ -84,7 +84,6 @@ def wires_of(learner: TDLearner) -> Wires:
     loss = cast(WireFittingLoss, learner.loss)
     heads = cast(CandidateHeads, loss.value_network.heads)
     low, high = heads.value_range
-    gamma = discount_of(loss)
     return Wires(
         heads.candidates,
         heads.low.numpy(),
@@ -94,7 +93,8 @@ def wires_of(learner: TDLearner) -> Wires:
         np.float32(low),
         np.float32(high - low),
         np.float32(loss.epsilon_greedy if loss.bootstrap == "expected" else 0),
-        np.float32(1 - gamma if loss.normalize_return else 1),
+        np.float32(loss.separation / max(heads.candidates * (heads.candidates - 1) / 2, 1)),
+        np.float32(SEPARATION_WIDTH**2),
     )
 
 
@@ -196,19 +196,41 @@ def learn(pupils: Pupils, learner: TDLearner, lessons: Lessons) -> Floats:
     return error
 
 
-def lessons_of(learner: TDLearner, drawn: Sequence[TensorDictBase], steps: int) -> Lessons:
-    """Transitions [steps * size] that were drawn for each arena, as minibatches."""
+def lessons_of(
+    learner: TDLearner,
+    drawn: Sequence[TensorDictBase],
+    steps: int,
+    discount: Tensor | None,
+) -> Lessons:
+    """Transitions [steps * size] that were drawn for each arena, as minibatches.
+
+    Args:
+        learner: Says how they are to be weighed.
+        drawn: The transitions; with one gamma for all, rewards are summed up already.
+        steps: Minibatches.
+        discount: gamma of each network that is to learn from them [networks]; None: the loss's.
+    """
 
     def part(*name: str) -> Floats:
         rows = torch.stack([each.get(name) for each in drawn]).float().numpy()
         return rows.reshape(len(drawn), steps, -1, rows.shape[-1])
 
-    gamma = np.float32(discount_of(learner.loss))
+    reward, ahead = part("next", "reward"), part("steps_to_next_obs")[..., 0]
     going_on = 1 - part("next", "terminated")[..., 0]
+    if discount is None:
+        gamma = np.array([discount_of(learner.loss)])
+    else:
+        gamma = _array(discount).astype(np.float64)
+        sharing = len(gamma) // len(drawn)
+        reward, ahead, going_on = (np.repeat(one, sharing, 0) for one in (reward, ahead, going_on))
+    weight = gamma[:, None] ** np.arange(reward.shape[-1])
+    if learner.loss.normalize_return:
+        weight *= 1 - gamma[:, None]
+    each = gamma.astype(np.float32)[:, None, None]
     return Lessons(
         part("observation"),
         part("action"),
-        part("next", "reward")[..., 0],
-        going_on * np.power(gamma, part("steps_to_next_obs")[..., 0], dtype=np.float32),
+        (reward @ weight.astype(np.float32)[:, None, :, None])[..., 0],
+        going_on * np.power(each, ahead, dtype=np.float32),
         part("next", "observation"),
     )

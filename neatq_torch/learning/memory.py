@@ -101,7 +101,7 @@ class TransitionMemory:
 
 
 def over_horizon(
-    batch: TensorDictBase, ticks: int, discount: float, *, keep_every: int = 1
+    batch: TensorDictBase, ticks: int, discount: float | None, *, keep_every: int = 1
 ) -> TensorDict:
     """Transitions that reach so many ticks ahead, for n-step returns (Sutton 1988).
 
@@ -114,7 +114,8 @@ def over_horizon(
         batch: [..., ticks] with `observation`, `action`, `genome_id` and
             `("next", observation / reward / terminated / done)`.
         ticks: n, at least 1.
-        discount: gamma.
+        discount: gamma. None: the rewards are left as they are, a column for each tick and 0 after
+            the last, for networks that weigh them by a gamma of their own (`summed_up`).
         keep_every: Of the ticks of the batch, one in so many begins a transition.
 
     Returns:
@@ -124,7 +125,8 @@ def over_horizon(
         batch.get(("next", name)).cpu().reshape(-1, batch.shape[-1]).numpy()
         for name in ("reward", "done")
     )
-    total, steps = _sums(reward, done, ticks, discount, keep_every)
+    own = discount is None
+    rewards, steps = _ahead(reward, done, ticks, 1.0 if own else discount, keep_every, own)
     shape = (*batch.shape[:-1], steps.shape[-1], 1)
     ahead = torch.from_numpy(steps).view(shape)
     first = torch.arange(0, batch.shape[-1], keep_every).unsqueeze(-1)
@@ -134,32 +136,46 @@ def over_horizon(
         return values.gather(-2, ticks.expand(*shape[:-1], values.shape[-1]))
 
     following = {name: at(name, first + ahead - 1) for name in ("observation", "terminated")}
-    following["reward"] = torch.from_numpy(total).view(shape)
+    following["reward"] = torch.from_numpy(rewards).view(*shape[:-1], -1)
     names = ("observation", "action", "genome_id")
     now = {name: batch.get(name)[..., ::keep_every, :].cpu() for name in names}
     return TensorDict(now | {"steps_to_next_obs": ahead, "next": following}, shape[:-1])
 
 
 @njit(cache=True)
-def _sums(
+def _ahead(
     reward: NDArray[np.float32],
     done: NDArray[np.bool_],
     ticks: int,
     discount: float,
     keep_every: int,
+    by_tick: bool,
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Sums of rewards [robots, ticks] and of how many, from every so many ticks on."""
+    """Rewards [robots, kept, columns] and of how many ticks, from every so many ticks on.
+
+    There is one column, the discounted sum, or one for each tick.
+    """
     robots, length = reward.shape
     kept = (length + keep_every - 1) // keep_every
-    total, steps = np.zeros((robots, kept), np.float32), np.zeros((robots, kept), np.int64)
+    rewards = np.zeros((robots, kept, ticks if by_tick else 1), np.float32)
+    steps = np.zeros((robots, kept), np.int64)
     for robot in range(robots):
         for place in range(kept):
-            first, weight, so_far = place * keep_every, 1.0, 0.0
+            first, weight, total = place * keep_every, 1.0, 0.0
             for tick in range(first, min(first + ticks, length)):
-                so_far += weight * reward[robot, tick]
+                if by_tick:
+                    rewards[robot, place, tick - first] = reward[robot, tick]
+                total += weight * reward[robot, tick]
                 weight *= discount
                 steps[robot, place] += 1
                 if done[robot, tick]:
                     break
-            total[robot, place] = so_far
-    return total, steps
+            if not by_tick:
+                rewards[robot, place, 0] = total
+    return rewards, steps
+
+
+def summed_up(rewards: Tensor, discount: Tensor) -> Tensor:
+    """Discounted sums [..., 1] of rewards by tick [..., ticks], by a gamma for each row [...]."""
+    weight = discount.unsqueeze(-1) ** torch.arange(rewards.shape[-1], device=discount.device)
+    return (weight * rewards).sum(-1, keepdim=True)

@@ -139,7 +139,8 @@ class CandidateTDLoss(LossModule):
             self.value_network(data)
         error = self._target(data) - self._value(data)
         tensordict.set(self.tensor_keys.priority, error.detach().abs())
-        loss = self._reduce_loss(0.5 * error.squeeze(-1).square(), tensordict=tensordict)
+        each = 0.5 * error.squeeze(-1).square() + self._penalty(data)
+        loss = self._reduce_loss(each, tensordict=tensordict)
         self._clear_weakrefs(tensordict, "value_network_params", "target_value_network_params")
         return TensorDict({"loss": loss})
 
@@ -147,6 +148,11 @@ class CandidateTDLoss(LossModule):
         """The Q-value of the action that was taken [*shape, ticks, 1]."""
         chosen = data.get(self.tensor_keys.action).unsqueeze(-1)
         return data.get(self.tensor_keys.action_value).gather(-1, chosen)
+
+    def _penalty(self, data: TensorDictBase) -> Tensor | float:
+        """What is added to the loss of each transition [*shape, ticks]."""
+        del data
+        return 0.0
 
     @torch.no_grad()
     def _target(self, data: TensorDictBase) -> Tensor:

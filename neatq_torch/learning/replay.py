@@ -11,7 +11,7 @@ from torch import Tensor
 from neatq_torch.learning import compiled_wires
 from neatq_torch.learning.heads import CandidateHeads
 from neatq_torch.learning.learner import LearnerConfig, TDLearner
-from neatq_torch.learning.memory import NEXT, NOW, TransitionMemory
+from neatq_torch.learning.memory import NEXT, NOW, TransitionMemory, summed_up
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 from neatq_torch.network import PopulationNetwork
@@ -90,13 +90,15 @@ def rehearse(
     drawn = draw(memories, generators, steps * batch)
     network = learner.network
     if compiled_wires.serves(learner):
-        lessons = compiled_wires.lessons_of(learner, [drawn[row] for row in memory_of], steps)
+        own = None if learner.loss.discount is None else learner.loss.discount.flatten()
+        shared = [drawn[row] for row in memory_of]
+        lessons = compiled_wires.lessons_of(learner, shared, steps, own)
         pupils = compiled_wires.pupils_of(learner)
         return torch.from_numpy(compiled_wires.learn(pupils, learner, lessons)).view(network.shape)
     error = torch.zeros_like(network.genome_id, dtype=torch.float32)
     for step in range(steps):
         part = [rows[step * batch : (step + 1) * batch] for rows in drawn]
-        error = learner.update(_for_all(network, part, memory_of))
+        error = learner.update(_for_all(learner, part, memory_of))
     return error
 
 
@@ -132,9 +134,10 @@ def _check(
 
 
 def _for_all(
-    network: PopulationNetwork, drawn: Sequence[TensorDictBase], rows: Sequence[int]
+    learner: TDLearner, drawn: Sequence[TensorDictBase], rows: Sequence[int]
 ) -> TensorDict:
     """A minibatch [size] of each memory as transitions [arenas, robots, size] of every network."""
+    network, discount = learner.network, learner.loss.discount
     shape = (*network.shape, len(drawn[0]))
 
     def spread(name: str | tuple[str, str]) -> Tensor:
@@ -143,6 +146,8 @@ def _for_all(
 
     now = {name: spread(name) for name in NOW}
     following = {name: spread(("next", name)) for name in NEXT}
+    if discount is not None:
+        following["reward"] = summed_up(following["reward"], discount.unsqueeze(-1))
     # Every transition is an episode of its own, so that no return goes on into the next row.
     following["done"] = torch.ones_like(following["terminated"])
     now["candidate_index"] = now["action"][..., 0].long()

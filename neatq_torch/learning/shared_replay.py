@@ -93,7 +93,8 @@ class ReplayLearner:
         Returns:
             Mean squared TD error of each network on the last minibatch [arenas, robots].
         """
-        gamma = compiled_wires.discount_of(self.learner.loss)
+        loss = self.learner.loss
+        gamma = compiled_wires.discount_of(loss) if loss.discount is None else None
         keep_every = self.config.keep_every
         ahead = over_horizon(batch, self.config.horizon, gamma, keep_every=keep_every)
         for memory, own in zip(self.memories, ahead, strict=True):
@@ -121,11 +122,12 @@ class ReplayLearner:
         memories = [self.memories[arena] for arena in arenas]
         generators = [self.generators[arena] for arena in arenas]
         memory_of = [arenas.index(arena) for arena in arena_of]
+        discount = self.learner.loss.discount
+        own = None if discount is None else discount.flatten()[places]
         if compiled_wires.serves(self.learner):
             drawn = draw(memories, generators, steps * batch)
-            lessons = compiled_wires.lessons_of(
-                self.learner, [drawn[row] for row in memory_of], steps
-            )
+            shared = [drawn[row] for row in memory_of]
+            lessons = compiled_wires.lessons_of(self.learner, shared, steps, own)
             taught = compiled_wires.newborns_of(self.learner, places)
             compiled_wires.learn(taught, self.learner, lessons)
             network.weight.data[places] = torch.from_numpy(taught.weight)
@@ -135,9 +137,11 @@ class ReplayLearner:
             shape=(len(places), 1),
             evaluation=network.evaluation,
         ).to(network.weight.device)
+        loss = self._make_loss(young)
+        loss.discount = None if own is None else own.unsqueeze(1)
         pretrain(
             young,
-            self._make_loss(young),
+            loss,
             memories,
             self.learner.config,
             steps=steps,

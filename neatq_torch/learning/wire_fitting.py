@@ -52,6 +52,28 @@ def wire_fit(
     return best.squeeze(-1) - (nearness * gap).sum(-1) / nearness.sum(-1)
 
 
+SEPARATION_WIDTH = 0.1
+"""Distance between candidates, in spans, within which they hardly push each other harder."""
+
+
+def closeness(candidates: Tensor) -> Tensor:
+    """How close candidates are to each other: what keeps them apart when it is minimised.
+
+    The mean over pairs of 1 / sqrt(|u_i - u_j|^2 + width^2), after the separation loss of Q3C
+    (Korkmaz et al. 2025), but with a gradient that stays finite where candidates meet.
+
+    Args:
+        candidates: u [..., K, A], in spans.
+
+    Returns:
+        [...]; 0 where there is only one candidate.
+    """
+    apart = candidates.unsqueeze(-2) - candidates.unsqueeze(-3)
+    near = (apart.square().sum(-1) + SEPARATION_WIDTH**2).rsqrt()
+    count = candidates.shape[-2]
+    return near.tril(-1).sum((-2, -1)) / max(count * (count - 1) / 2, 1)
+
+
 class WireFittingLoss(CandidateTDLoss):
     """Half the squared TD error of the wire-fitted value of the action that was taken.
 
@@ -67,6 +89,7 @@ class WireFittingLoss(CandidateTDLoss):
         value_network: A `CandidateValue` over `CandidateHeads` that also proposes.
         smoothing: c of `wire_fit`.
         epsilon: epsilon of `wire_fit`.
+        separation: Weight of `closeness`, which is added to the loss of each transition.
         settings: See `CandidateTDLoss`.
 
     Input: `action` [*shape, ticks, A] instead of `candidate_index`, else as `CandidateTDLoss`.
@@ -92,6 +115,7 @@ class WireFittingLoss(CandidateTDLoss):
         *,
         smoothing: float = 0.1,
         epsilon: float = 1e-4,
+        separation: float = 0.0,
         **settings: Any,
     ) -> None:
         heads = value_network.heads
@@ -104,6 +128,7 @@ class WireFittingLoss(CandidateTDLoss):
         low, high = heads.value_range
         self.smoothing = smoothing / (high - low)
         self.epsilon = epsilon
+        self.separation = separation
         # An action of which only one value is allowed is no distance away.
         unit = torch.where(heads.span > 0, 1 / heads.span, 0)
         self.register_buffer("unit", unit, persistent=False)
@@ -113,3 +138,8 @@ class WireFittingLoss(CandidateTDLoss):
         action, candidates = (data.get(key) * self.unit for key in (keys.action, keys.candidates))
         values = data.get(keys.action_value)
         return wire_fit(action, candidates, values, self.smoothing, self.epsilon).unsqueeze(-1)
+
+    def _penalty(self, data: TensorDictBase) -> Tensor | float:
+        if not self.separation:
+            return 0.0
+        return self.separation * closeness(data.get(self.tensor_keys.candidates) * self.unit)

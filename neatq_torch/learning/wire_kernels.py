@@ -36,7 +36,8 @@ class Wires(NamedTuple):
         value_low: The value of an output of 0.
         value_span: From there to that of an output of 1.
         explored: Probability with which the next candidate is any, not the best.
-        reward_scale: What rewards are multiplied by.
+        separation: Weight of each pair of candidates in `closeness`; 0 without.
+        width: Of `closeness`, squared.
     """
 
     candidates: int
@@ -47,7 +48,8 @@ class Wires(NamedTuple):
     value_low: np.float32
     value_span: np.float32
     explored: np.float32
-    reward_scale: np.float32
+    separation: np.float32
+    width: np.float32
 
 
 @njit(cache=True, error_model="numpy")
@@ -59,15 +61,15 @@ def targets(
     Args:
         following: Outputs for the next states, whose values count [networks, size, outputs].
         chooser: Outputs by which the best candidate is chosen, likewise.
-        reward: [arenas, size].
-        discount: Of the next state's value [arenas, size].
+        reward: A row for all networks of an arena, or for each network [rows, size].
+        discount: Of the next state's value, likewise.
         wires: The law.
     """
     networks, size, outputs = following.shape
-    robots, first = networks // len(reward), outputs - wires.candidates
+    sharing, first = networks // len(reward), outputs - wires.candidates
     target = np.empty((networks, size), np.float32)
     for network in range(networks):
-        arena = network // robots
+        row = network // sharing
         for i in range(size):
             best, total = first, following[network, i, first]
             for k in range(first + 1, outputs):
@@ -77,8 +79,7 @@ def targets(
             mean = total / np.float32(wires.candidates)
             expected = (_ONE - wires.explored) * following[network, i, best] + wires.explored * mean
             value = wires.value_low + wires.value_span * expected
-            bootstrap = discount[arena, i] * value
-            target[network, i] = reward[arena, i] * wires.reward_scale + bootstrap
+            target[network, i] = reward[row, i] + discount[row, i] * value
     return target
 
 
@@ -117,6 +118,8 @@ def slopes(
             squares += wrong[i] * wrong[i]
         error[network] = squares / np.float32(size)
         _spread(out, away, wires, near, gap, mean, total, wrong, moved)
+        if wires.separation > _ZERO:
+            _separate(out, wires, moved)
         for o in range(outputs):
             for i in range(size):
                 slope[network, i, o] = moved[o, i]
@@ -221,6 +224,30 @@ def _spread(
         for i in range(size):
             part = wrong[i] * wires.value_span * rest[i] / ties[i]
             slope[first + k, i] -= part if gap[k, i] == _ZERO else _ZERO
+
+
+@njit(error_model="numpy")
+def _separate(out: Floats, wires: Wires, slope: Floats) -> None:
+    """Add to the gradients [outputs, size] that of `closeness`: every pair pushes apart."""
+    actions, size = len(wires.low), out.shape[1]
+    push, apart = np.empty(size, np.float32), np.empty((actions, size), np.float32)
+    for one in range(0, wires.candidates * actions, actions):
+        for other in range(0, one, actions):
+            push[:] = wires.width
+            for a in range(actions):
+                within = _ONE if wires.unit[a] != _ZERO else _ZERO
+                for i in range(size):
+                    here = min(max(out[one + a, i], _ZERO), _ONE)
+                    there = min(max(out[other + a, i], _ZERO), _ONE)
+                    apart[a, i] = within * (here - there)
+                    push[i] += apart[a, i] * apart[a, i]
+            for i in range(size):
+                push[i] = wires.separation / (push[i] * np.sqrt(push[i]))
+            for a in range(actions):
+                for i in range(size):
+                    step = push[i] * apart[a, i]
+                    slope[one + a, i] -= step if _ZERO <= out[one + a, i] <= _ONE else _ZERO
+                    slope[other + a, i] += step if _ZERO <= out[other + a, i] <= _ONE else _ZERO
 
 
 @njit(cache=True, error_model="numpy")

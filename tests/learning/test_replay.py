@@ -26,6 +26,7 @@ from neatq_torch.learning import (
     WireFittingLoss,
     over_horizon,
     pretrain,
+    summed_up,
 )
 from neatq_torch.network import PopulationNetwork
 
@@ -332,3 +333,9 @@ def test_a_horizon_sums_what_a_loop_sums(data: st.DataObject, ticks: int, every:
             total += 0.5 ** (tick - start) * rewards[tick]
         assert ahead.get(("next", "reward"))[0, place].item() == pytest.approx(total)
         assert ahead.get("steps_to_next_obs")[0, place].item() == tick - start + 1
+    left = over_horizon(batch, ticks, None, keep_every=every)
+    by_tick = left.get(("next", "reward"))
+    assert by_tick.shape == (1, len(range(0, length, every)), ticks)
+    total = summed_up(by_tick, torch.full(by_tick.shape[:-1], 0.5))
+    torch.testing.assert_close(total, ahead.get(("next", "reward")))
+    assert torch.equal(left.get("steps_to_next_obs"), ahead.get("steps_to_next_obs"))

@@ -142,7 +142,12 @@ def test_settings_without_sense_are_refused(wrong: dict[str, int]) -> None:
         ReplayConfig(**wrong)
 
 
-def evolved_learner(step: LearnerConfig, bootstrap: Bootstrap | None = None) -> ReplayLearner:
+def evolved_learner(
+    step: LearnerConfig,
+    bootstrap: Bootstrap | None = None,
+    separation: float = 0.0,
+    discount: torch.Tensor | None = None,
+) -> ReplayLearner:
     """Two arenas of networks with hidden nodes and loops; an action that has no room, and two."""
     heads = CandidateHeads(3, [0.0, -2.0, 1.0], [1.0, 2.0, 1.0], value_range=(-1.0, 2.0))
     mutation = MutationConfig(add_node_prob=0.3, add_link_prob=0.4, recurrent_link_prob=0.2)
@@ -165,12 +170,15 @@ def evolved_learner(step: LearnerConfig, bootstrap: Bootstrap | None = None) -> 
             delay_value=targets,
             bootstrap=bootstrap,
             epsilon_greedy=0.3,
+            separation=separation,
         )
         loss.make_value_estimator(gamma=0.9)
         return loss
 
     config = ReplayConfig(updates=6, newborn_updates=5, size=150, keep_every=1, horizon=4)
-    return ReplayLearner(TDLearner(network, make_loss(network), step), make_loss, config, range(2))
+    learner = TDLearner(network, make_loss(network), step)
+    learner.loss.discount = discount
+    return ReplayLearner(learner, make_loss, config, range(2))
 
 
 def any_batch(seed: int) -> TensorDict:
@@ -192,23 +200,27 @@ def any_batch(seed: int) -> TensorDict:
 
 
 @pytest.mark.parametrize(
-    ("optimizer", "tau", "bootstrap"),
+    ("optimizer", "tau", "bootstrap", "separation", "own_discount"),
     [
-        ("sgd", None, None),
-        ("sgd", 0.3, "double"),
-        ("adam", 0.3, None),
-        ("adam", 0.01, "double"),
-        ("adam", None, "expected"),
+        ("sgd", None, None, 0.0, False),
+        ("sgd", 0.3, "double", 0.0, True),
+        ("sgd", None, None, 0.05, False),
+        ("adam", 0.3, None, 0.0, False),
+        ("adam", 0.01, "double", 0.0, False),
+        ("adam", None, "expected", 0.01, True),
     ],
 )
 def test_compiled_code_learns_what_torch_learns(
     optimizer: Literal["sgd", "adam"],
     tau: float | None,
     bootstrap: Bootstrap | None,
+    separation: float,
+    own_discount: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     step = LearnerConfig(learning_rate=0.01, optimizer=optimizer, target_tau=tau)
-    fast, slow = (evolved_learner(step, bootstrap) for _ in range(2))
+    own = torch.tensor([[0.0, 0.5, 0.9], [0.99, 0.7, 0.8]]) if own_discount else None
+    fast, slow = (evolved_learner(step, bootstrap, separation, own) for _ in range(2))
     newborn = torch.tensor([[False, True, False], [True, False, True]])
     errors = []
     for learner in (fast, slow):
@@ -229,3 +241,26 @@ def test_compiled_code_learns_what_torch_learns(
     torch.testing.assert_close(
         fast.learner.network.weight, slow.learner.network.weight, rtol=2e-3, atol=2e-5
     )
+
+
+def test_a_network_with_a_discount_of_its_own_learns_as_if_it_were_that_of_all() -> None:
+    step = LearnerConfig(learning_rate=0.01, optimizer="adam")
+    gammas = torch.tensor([[0.0, 0.5, 0.9], [0.99, 0.7, 0.8]])
+    newborn = torch.tensor([[False, True, False], [True, False, True]])
+
+    def learnt(discount: torch.Tensor) -> torch.Tensor:
+        learner = evolved_learner(step, discount=discount)
+        learner.update(any_batch(0))
+        learner.reset(newborn)
+        learner.update(any_batch(1))
+        return learner.learner.network.weight.detach()
+
+    together = learnt(gammas)
+    for place, gamma in enumerate(gammas.flatten().tolist()):
+        alone = learnt(torch.full_like(gammas, gamma))
+        assert torch.equal(together[place], alone[place])
+    summed = evolved_learner(step)  # of all networks, 0.9, from sums that are remembered
+    summed.update(any_batch(0))
+    by_tick = evolved_learner(step, discount=torch.full_like(gammas, 0.9))
+    by_tick.update(any_batch(0))
+    torch.testing.assert_close(summed.learner.network.weight, by_tick.learner.network.weight)

@@ -18,6 +18,7 @@ from neatq_torch.learning import (
     LearnerConfig,
     TDLearner,
     WireFittingLoss,
+    closeness,
     wire_fit,
 )
 from neatq_torch.network import PopulationNetwork
@@ -103,6 +104,22 @@ def test_the_gradient_of_the_best_value_is_not_multiplied() -> None:
     assert gradient[0].item() == pytest.approx(1.0, abs=1e-4)
     held = 1.0 + sum(C * 1e6 / (i**2 + C * 1e6) for i in range(1, 10))
     assert held == pytest.approx(10.0, abs=0.01)
+
+
+def test_closeness_by_hand() -> None:
+    candidates = torch.tensor([[0.0, 0.0], [0.3, 0.0], [0.3, 0.4]], dtype=torch.float64)
+    apart = [0.3, 0.4, 0.5]
+    expected = sum((one**2 + 0.01) ** -0.5 for one in apart) / 3
+    assert closeness(candidates).item() == pytest.approx(expected)
+    assert closeness(candidates[:1]).item() == 0.0
+
+
+def test_closeness_pushes_candidates_apart_and_stays_finite_where_they_meet() -> None:
+    candidates = torch.tensor([[0.5], [0.6], [0.6]], requires_grad=True)
+    (gradient,) = torch.autograd.grad(closeness(candidates), candidates)
+    # Of three pairs two push, each with d / (d^2 + 0.01)^1.5; the two that meet do not.
+    push = 0.1 / 0.02**1.5 / 3
+    assert gradient.flatten().tolist() == pytest.approx([2 * push, -push, -push], rel=1e-5)
 
 
 INPUTS, K = 3, 3

@@ -69,7 +69,9 @@ def test_a_row_by_hand() -> None:
 
 def test_where_epsilon_is_a_gene_a_row_has_its_mean() -> None:
     run = run_of(100)
-    run.genes = cast(LearningGenes, SimpleNamespace(values=np.array([[[9.0, 0.1], [9.0, 0.5]]])))
+    run.genes = cast(
+        LearningGenes, SimpleNamespace(values=np.array([[[9.0, 0.1, 9.0], [9.0, 0.5, 9.0]]]))
+    )
     (row,) = rows(run, batch_of([[[1], [2], [3]]]), torch.zeros(1, 3))
     assert row.epsilon == pytest.approx(0.3)
 

@@ -20,7 +20,18 @@ from neatq_trainers.loop import make_collector, record, strides
         ({"learning.inherited_share": 0.0}, r"inherited_share: expected a number within \(0, 1\]"),
         ({"learning.safe_mutation": 0}, "safe_mutation: expected at least 1 observation"),
         ({"learning.genes": 0.0}, "genes: expected a number above 0"),
-        ({"learning.genes": 0.1, "learning.epsilon": 0.0}, "genes: .* got 0.0 and 0.03"),
+        ({"learning.genes": 0.1, "learning.epsilon": 0.0}, "genes: .* got 0.0, 0.03 and 0.9"),
+        ({"learning.genes": 0.1, "learning.discount": 1.0}, "genes: .* got 0.01, 0.03 and 1.0"),
+        ({"learning.separation": 0.0}, "separation: expected a number above 0, or none, got 0.0"),
+        (
+            {
+                "learning.separation": 0.1,
+                "learning.rule": "td",
+                "learning.replay.updates": 0,
+                "learning.replay.newborn_updates": 0,
+            },
+            "separation: expected none with learning.rule td, got 0.1",
+        ),
         (
             {"learning.inherited_share": 0.5, "learning.inheritance": "darwinian"},
             "inherited_share: expected none with inheritance darwinian, got 0.5",
@@ -78,7 +89,9 @@ def test_genes_of_learning_reach_robots_of_later_generations() -> None:
     assert run.genes is not None
     assert isinstance(run.learner, ReplayLearner)
     assert isinstance(run.policy, CandidatePolicy)
-    rates, epsilons = run.genes.values[0].T
+    rates, epsilons, impatience = run.genes.values[0].T
     assert run.learner.learner.learning_rate.tolist() == pytest.approx(rates.tolist())
     assert run.policy.exploration.epsilon[0].tolist() == pytest.approx(epsilons.tolist())
-    assert len(set(rates)) == 6
+    assert run.learner.learner.loss.discount is not None
+    assert run.learner.learner.loss.discount[0].tolist() == pytest.approx((1 - impatience).tolist())
+    assert len(set(rates)) == len(set(impatience)) == 6

@@ -217,12 +217,14 @@ def _loss(
     learning: LearningConfig, network: PopulationNetwork, heads: CandidateHeads
 ) -> CandidateTDLoss:
     wires = learning.rule == "wire_fitting"
+    settings: dict[str, Any] = {"separation": learning.separation or 0.0} if wires else {}
     loss = (WireFittingLoss if wires else CandidateTDLoss)(
         CandidateValue(network, heads, propose=wires),
         delay_value=learning.step.target_tau is not None,
         normalize_return=learning.normalize_return,
         bootstrap=learning.bootstrap,
         epsilon_greedy=learning.epsilon,
+        **settings,
     )
     if learning.trace_decay and learning.discount:
         # Tick by tick: convolutions give other last bits when other arenas stand beside.

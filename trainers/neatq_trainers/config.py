@@ -86,6 +86,8 @@ class LearningConfig:
         bootstrap: What the next state is worth. None: the greatest value of its candidates.
             expected: the mean over epsilon-greedy. double: by the target weights the value of the
             candidate that is best by the network's own; needs target_tau.
+        separation: With the rule wire_fitting, weight of a loss that keeps the candidates of a
+            network apart (Korkmaz et al. 2025), above 0; None: nothing does.
         normalize_return: Weigh rewards by 1 - gamma, so that a sigmoid can reach the target.
         epsilon: Probability of starting to explore, per tick.
         max_hold_ticks: Longest run of an explored candidate; 1 is plain epsilon-greedy.
@@ -94,9 +96,9 @@ class LearningConfig:
             written into the genome, within (0, 1]; None: all of it.
         safe_mutation: Mutation moves those weights less to which the outputs react strongly over so
             many observations of the batch (Lehman et al. 2018); None: all weights alike.
-        genes: Learning rate and epsilon are genes, mutated by this standard deviation of their
-            logarithm, and explored ticks do not count towards fitness; None: all robots have those
-            given here.
+        genes: Learning rate, epsilon and 1 - discount are genes, mutated by this standard deviation
+            of their logarithm, and explored ticks do not count towards fitness; None: all robots
+            have those given here.
         replay: What is learnt from the past of all robots; needs the rule wire_fitting.
     """
 
@@ -113,6 +115,7 @@ class LearningConfig:
     inherited_share: float | None = None
     safe_mutation: int | None = None
     genes: float | None = None
+    separation: float | None = None
 
     def __post_init__(self) -> None:
         """Check ranges."""
@@ -129,12 +132,7 @@ class LearningConfig:
                 "learning.bootstrap: double needs learning.step.target_tau, without which there "
                 "are no target weights that could value what the network's own choose"
             )
-        if self.replay.updates and self.rule != "wire_fitting":
-            raise ConfigError(
-                f"learning.replay.updates: expected 0 with learning.rule {self.rule}, got "
-                f"{self.replay.updates}; only wire_fitting knows what an action of another robot "
-                "is worth"
-            )
+        self._check_rule()
         self._check_inheritance()
         if self.safe_mutation is not None and self.safe_mutation < 1:
             raise ConfigError(
@@ -142,6 +140,25 @@ class LearningConfig:
                 f"{self.safe_mutation}"
             )
         self._check_genes()
+
+    def _check_rule(self) -> None:
+        if self.replay.updates and self.rule != "wire_fitting":
+            raise ConfigError(
+                f"learning.replay.updates: expected 0 with learning.rule {self.rule}, got "
+                f"{self.replay.updates}; only wire_fitting knows what an action of another robot "
+                "is worth"
+            )
+        if self.separation is None:
+            return
+        if not 0 < self.separation < math.inf:
+            raise ConfigError(
+                f"learning.separation: expected a number above 0, or none, got {self.separation}"
+            )
+        if self.rule != "wire_fitting":
+            raise ConfigError(
+                f"learning.separation: expected none with learning.rule {self.rule}, got "
+                f"{self.separation}; only wire_fitting moves candidates"
+            )
 
     def _check_inheritance(self) -> None:
         share = self.inherited_share
@@ -167,10 +184,11 @@ class LearningConfig:
                 f"learning.genes: expected none with learning.rule {self.rule}, got {self.genes}; "
                 "no network learns there"
             )
-        if not (self.epsilon and self.step.learning_rate):
+        if not (self.epsilon and self.step.learning_rate and self.discount < 1):
             raise ConfigError(
-                "learning.genes: expected learning.epsilon and learning.step.learning_rate above "
-                f"0, got {self.epsilon} and {self.step.learning_rate}; founders start from them"
+                "learning.genes: expected learning.epsilon and learning.step.learning_rate above 0 "
+                f"and learning.discount below 1, got {self.epsilon}, {self.step.learning_rate} and "
+                f"{self.discount}; founders start from them"
             )
 
 
@@ -335,10 +353,9 @@ _ARMS: dict[Arm, dict[str, Any]] = {
         "network": NetworkConfig(candidates=5),
         "learning": LearningConfig(
             rule="wire_fitting",
-            step=LearnerConfig(learning_rate=0.03, optimizer="adam", target_tau=0.05),
-            discount=0.98,
+            step=LearnerConfig(learning_rate=0.03, optimizer="adam"),
+            discount=0.9,
             epsilon=0.01,
-            max_hold_ticks=40,
             replay=ReplayConfig(updates=4, newborn_updates=100, horizon=40),
         ),
     },
@@ -369,7 +386,7 @@ def preset(task: str, arm: Arm) -> RunConfig:
     scenario = _scenario(task, TASKS["flag"].replaced(**parts.pop("world")))
     evolution = RtNEATConfig(minimum_life_ticks=scenario.lifetime_ticks or 1000)
     if arm == "neatq":
-        evolution = replace(evolution, trial_average="exponential", ineligible_fraction=0.1)
+        evolution = replace(evolution, ineligible_fraction=0.1)
     return RunConfig(
         task=task,
         arm=arm,

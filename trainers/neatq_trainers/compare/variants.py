@@ -52,32 +52,22 @@ PARTS: dict[str, Part] = {
         {"learning.step.optimizer": "sgd", "learning.step.learning_rate": 0.9},
     ),
     "exploration": Part(
-        "explorations that last (Dabney et al. 2021); without, as many exploratory ticks",
-        {"learning.epsilon": 0.01, "learning.max_hold_ticks": 40},
-        {"learning.epsilon": 0.041, "learning.max_hold_ticks": 1},
+        "one exploratory tick in a hundred instead of ten",
+        {"learning.epsilon": 0.01},
+        {"learning.epsilon": 0.1},
     ),
     "candidates": Part(
         "5 instead of 10 candidates", {"network.candidates": 5}, {"network.candidates": 10}
     ),
     "discount": Part(
-        "a discount of 0.98 instead of 0.8",
-        {"learning.discount": 0.98},
+        "a discount of 0.9 instead of 0.8",
+        {"learning.discount": 0.9},
         {"learning.discount": 0.8},
-    ),
-    "trials": Part(
-        "fitness as an exponential average over trials",
-        {"evolution.trial_average": "exponential"},
-        {"evolution.trial_average": "opennero"},
     ),
     "wires": Part(
         "candidates that move: wire fitting",
         {"learning.rule": "wire_fitting"},
         {"learning.rule": "td", "learning.replay.updates": 0, "learning.replay.newborn_updates": 0},
-    ),
-    "targets": Part(
-        "target weights that follow slowly",
-        {"learning.step.target_tau": 0.05},
-        {"learning.step.target_tau": None},
     ),
     "replay": Part(
         "learning from what all robots went through",
@@ -166,7 +156,6 @@ GROUPS: dict[str, dict[str, Variant]] = {
             summary="neatq whose networks choose among candidates but learn nothing",
             changes={
                 "learning.rule": "none",
-                "learning.step.target_tau": None,
                 "learning.replay.updates": 0,
                 "learning.replay.newborn_updates": 0,
                 "learning.epsilon": 0.0,
@@ -174,10 +163,30 @@ GROUPS: dict[str, dict[str, Variant]] = {
         ),
     },
     "alternatives": {
+        "neatq-farsighted": Variant(
+            base="neatq",
+            summary="neatq with a discount of 0.98: what comes in 50 ticks counts",
+            changes={"learning.discount": 0.98},
+        ),
+        "neatq-lasting-exploration": Variant(
+            base="neatq",
+            summary="neatq with as many exploratory ticks, of which many come in a row",
+            changes={"learning.epsilon": 0.00235, "learning.max_hold_ticks": 40},
+        ),
+        "neatq-target-weights": Variant(
+            base="neatq",
+            summary="neatq with target weights that follow slowly",
+            changes={"learning.step.target_tau": 0.05},
+        ),
+        "neatq-exponential-trials": Variant(
+            base="neatq",
+            summary="neatq whose fitness is an exponential average over trials",
+            changes={"evolution.trial_average": "exponential"},
+        ),
         "neatq-double": Variant(
             base="neatq",
             summary="neatq with double targets",
-            changes={"learning.bootstrap": "double"},
+            changes={"learning.bootstrap": "double", "learning.step.target_tau": 0.05},
         ),
         "neatq-expected": Variant(
             base="neatq",
@@ -190,12 +199,19 @@ GROUPS: dict[str, dict[str, Variant]] = {
             changes={
                 "learning.discount": 0.8,
                 "learning.epsilon": 0.03,
+                "learning.max_hold_ticks": 40,
                 "learning.step.learning_rate": 0.05,
-                "learning.replay.updates": 32,
+                "learning.replay.updates": 16,
                 "learning.replay.horizon": 5,
                 "learning.replay.keep_every": 1,
-                "learning.replay.capacity": 2000,
+                "learning.replay.capacity": 1000,
+                "batch_ticks": 20,
             },
+        ),
+        "neatq-separation": Variant(
+            base="neatq",
+            summary="neatq whose candidates are kept apart, as in Q3C",
+            changes={"learning.separation": 0.01},
         ),
         "neatq-darwinian": Variant(
             base="neatq",
@@ -217,9 +233,15 @@ GROUPS: dict[str, dict[str, Variant]] = {
             summary="neatq that selects half by fitness, half by novelty of where a life ends",
             changes={"evolution.novelty": 0.5},
         ),
+        "rtneat-novelty": Variant(
+            base="rtneat",
+            summary="evolution alone, half by fitness, half by novelty of where a life ends",
+            changes={"evolution.novelty": 0.5},
+        ),
         "neatq-genes": Variant(
             base="neatq",
-            summary="neatq whose learning rate and epsilon evolve, scored without exploration",
+            summary="neatq whose learning rate, epsilon and discount evolve, scored without "
+            "exploration",
             changes={"learning.genes": 0.2},
         ),
     },
