@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
-from neatq_trainers.compare.figures import by_life, draw_halves, draw_task
+from neatq_trainers.compare.figures import by_life, colours_of, draw_halves, draw_task
 from neatq_trainers.compare.report import (
     arms_table,
     configurations,
@@ -16,6 +17,7 @@ from neatq_trainers.compare.report import (
     report,
 )
 from neatq_trainers.compare.tables import Curves, Study
+from neatq_trainers.compare.variants import ARMS, GROUPS
 
 Make = Callable[..., Study]
 
@@ -95,3 +97,10 @@ def test_a_point_of_a_line_is_a_life_in_the_middle_of_its_ticks() -> None:
     middle, values = by_life(curves)
     assert values.tolist() == [[5, 9]]
     assert middle.tolist() == [5.5, 13]  # of the looks at 100 ... 1000, and at 1100 ... 1500
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_no_two_variants_of_a_group_have_the_same_colour(study_of: Make, group: str) -> None:
+    names = [*ARMS, *GROUPS[group]]
+    colours = colours_of(study_of(**{name: [[1]] for name in names}))
+    assert len({colours[name] for name in names}) == len(names)

@@ -20,7 +20,11 @@ from neatq_trainers.metrics import ROW_TICKS
 from neatq_trainers.published import published_curves
 
 _ARM_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
-_OTHER_COLOURS = ("tab:brown", "tab:cyan", "tab:olive", "tab:pink", "black")
+_OTHER_COLOURS = (
+    *("tab:brown", "tab:cyan", "tab:olive", "tab:pink", "black", "navy", "gold", "lime"),
+    *("magenta", "teal", "salmon", "slategray", "indigo", "darkgreen"),
+)
+"""As many as the largest group of variants has members."""
 _PAPER_STYLES = {"rtneat": "-", "rtneat+q": "--", "qlearning": ":"}
 HALVES = {
     "eligible": "robots old enough to be judged",
