@@ -40,7 +40,7 @@ test: $(VENV)/test.stamp ## check everything: style, types, layers, wheel, tests
 	$(BIN)/check-wheel-contents $(WHEEL_DIR)
 	$(BIN)/python -m pytest -n $(WORKERS)
 
-bench: $(VENV)/bench.stamp ## measure what the parts cost, a quarter of an hour; results in docs/benchmarks.md
+bench: $(VENV)/bench.stamp ## measure what the parts cost, minutes for each row; results in docs/benchmarks.md
 	$(BIN)/python -m benchmarks --save
 
 format: $(VENV)/test.stamp ## mend style and order of imports

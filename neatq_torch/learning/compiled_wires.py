@@ -18,7 +18,7 @@ from torch import Tensor
 from neatq_torch.learning import wire_kernels
 from neatq_torch.learning.heads import CandidateHeads
 from neatq_torch.learning.learner import TDLearner
-from neatq_torch.learning.objectives import CandidateTDLoss
+from neatq_torch.learning.objectives import discount_of
 from neatq_torch.learning.wire_fitting import SEPARATION_WIDTH, WireFittingLoss
 from neatq_torch.learning.wire_kernels import Floats, Wires
 from neatq_torch.network import compiled, kernels
@@ -96,11 +96,6 @@ def wires_of(learner: TDLearner) -> Wires:
         np.float32(loss.separation / max(heads.candidates * (heads.candidates - 1) / 2, 1)),
         np.float32(SEPARATION_WIDTH**2),
     )
-
-
-def discount_of(loss: CandidateTDLoss) -> float:
-    """Gamma of a loss."""
-    return float(cast(Tensor, loss.value_estimator.gamma))
 
 
 def pupils_of(learner: TDLearner) -> Pupils:

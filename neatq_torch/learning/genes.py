@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from neatq_torch.evolution import Replacement, RtNEAT
 from neatq_torch.evolution.chance import generator_from
-from neatq_torch.learning.compiled_wires import discount_of
 from neatq_torch.learning.exploration import EpsilonGreedy
 from neatq_torch.learning.learner import State, TDLearner
+from neatq_torch.learning.objectives import discount_of
 
 WIDEST = 10.0
 """How many times more or less than at the start a gene may become."""

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase, TensorDictParams
@@ -187,3 +187,8 @@ class CandidateTDLoss(LossModule):
         following = data.get("next").clone(False)
         with params.to_module(self.value_network):
             return self.value_network(following).get(self.tensor_keys.action_value)
+
+
+def discount_of(loss: CandidateTDLoss) -> float:
+    """Gamma of a loss whose robots all have the same."""
+    return float(cast(Tensor, loss.value_estimator.gamma))

@@ -13,6 +13,7 @@ from torch import Tensor
 from neatq_torch.learning import compiled_wires
 from neatq_torch.learning.learner import State, TDLearner
 from neatq_torch.learning.memory import TransitionMemory, over_horizon
+from neatq_torch.learning.objectives import discount_of
 from neatq_torch.learning.replay import draw, pretrain, rehearse
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 from neatq_torch.network import PopulationNetwork
@@ -94,7 +95,7 @@ class ReplayLearner:
             Mean squared TD error of each network on the last minibatch [arenas, robots].
         """
         loss = self.learner.loss
-        gamma = compiled_wires.discount_of(loss) if loss.discount is None else None
+        gamma = discount_of(loss) if loss.discount is None else None
         keep_every = self.config.keep_every
         ahead = over_horizon(batch, self.config.horizon, gamma, keep_every=keep_every)
         for memory, own in zip(self.memories, ahead, strict=True):
