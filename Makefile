@@ -4,10 +4,14 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 TASK ?= wall
 ARM ?= neatq
-TICKS ?= 70000
 ARENAS ?= 1
 SEED ?= 0
-OUT ?= runs/$(TASK)-$(ARM)-$(shell date +%Y%m%d-%H%M%S)
+OUT ?= runs/$(subst :,-,$(subst /,-,$(TASK)))-$(ARM)-$(shell date +%Y%m%d-%H%M%S)
+
+# The length of a run: TICKS in worlds of robots, GENERATIONS on Gymnasium tasks; else the task's own.
+TICKS ?=
+GENERATIONS ?=
+LENGTH = $(if $(TICKS),--ticks $(TICKS)) $(if $(GENERATIONS),--generations $(GENERATIONS))
 
 # Test processes; 0 runs the tests in one process, which is easier to debug.
 WORKERS ?= 2
@@ -26,9 +30,9 @@ export OMP_NUM_THREADS := 1
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' Makefile
 
-train: $(VENV)/train.stamp ## train a population (TASK, ARM, TICKS, ARENAS, SEED, OUT), results in runs/
-	$(BIN)/neatq train --task $(TASK) --arm $(ARM) --ticks $(TICKS) --arenas $(ARENAS) \
-	    --seed $(SEED) --out $(OUT)
+train: $(VENV)/train.stamp ## train (TASK, ARM, TICKS or GENERATIONS, ARENAS, SEED, OUT), results in runs/
+	$(BIN)/neatq train --task $(TASK) --arm $(ARM) $(LENGTH) --arenas $(ARENAS) --seed $(SEED) \
+	    --out $(OUT)
 
 test: $(VENV)/test.stamp ## check everything: style, types, layers, wheel, tests, notebooks
 	$(BIN)/ruff check .
@@ -65,5 +69,5 @@ $(VENV)/test.stamp: $(VENV)/train.stamp
 	@touch $@
 
 $(VENV)/bench.stamp: $(VENV)/train.stamp
-	$(INSTALL) '.[bench]'
+	$(INSTALL) '.[bench,box2d]'
 	@touch $@

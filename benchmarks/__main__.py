@@ -15,9 +15,11 @@ from benchmarks import (
     crowd,
     forward,
     gpu,
+    gymnasium,
     learning,
     memory,
     replacement,
+    startup,
     trainer,
 )
 from benchmarks.machine import environment
@@ -33,8 +35,10 @@ ROWS = {
     "breeding": breeding,
     "trainer": trainer,
     "arenas": arenas,
+    "gymnasium": gymnasium,
     "crowd": crowd,
     "memory": memory,
+    "startup": startup,
     "gpu": gpu,
 }
 LONG = "million ticks"

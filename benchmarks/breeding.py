@@ -61,7 +61,7 @@ class Living:
         self.rng = np.random.default_rng(0)
         config = RtNEATConfig(minimum_life_ticks=1000)
         self.population = RtNEAT.start(
-            config, robots=POPULATION, inputs=INPUTS, outputs=OUTPUTS, seed=0
+            config, slots=POPULATION, inputs=INPUTS, outputs=OUTPUTS, rng=0
         )
         self.population.record(np.zeros((POPULATION, 1000, 1)))
         self.birth_seconds(POPULATION)
@@ -72,7 +72,7 @@ class Living:
         while born < births:
             self.population.record(self.rng.random((POPULATION, TICKS, 1)))
             begin = time.process_time()
-            born += len(self.population.replace())
+            born += len(self.population.advance())
             seconds += time.process_time() - begin
         return seconds / born
 

@@ -22,7 +22,7 @@ from neatq_torch.learning import (
     CandidateHeads,
     CandidateTDLoss,
     CandidateValue,
-    LearnerConfig,
+    TDConfig,
     TDLearner,
 )
 from neatq_torch.network import PopulationNetwork
@@ -74,7 +74,7 @@ def _update(genomes: list[Genome], heads: CandidateHeads, device: str) -> Callab
     network = PopulationNetwork(genomes).to(device)
     loss = CandidateTDLoss(CandidateValue(network, heads)).to(device)
     loss.make_value_estimator(gamma=0.9)
-    learner = TDLearner(network, loss, LearnerConfig(learning_rate=0.01, optimizer="adam"))
+    learner = TDLearner(network, loss, TDConfig(learning_rate=0.01, optimizer="adam"))
     shape = (len(genomes), TICKS)
     never = torch.zeros(*shape, 1, dtype=torch.bool, device=device)
     batch = TensorDict(

@@ -29,15 +29,16 @@ acting: a thread would share the interpreter, which is what acting waits for.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import torch
 
 from benchmarks.measure import in_rounds, interleaved
 from benchmarks.result import Goal, Line, compare
 from benchmarks.training import trainer_tick_seconds
+from neatq_torch import preset
+from neatq_torch.evolution import interval_ticks
 from neatq_trainers.build import build
-from neatq_trainers.config import RunConfig, preset
+from neatq_trainers.config import RunConfig
 from neatq_trainers.loop import make_collector
 
 SHARE = 0.25
@@ -47,17 +48,14 @@ PAPER = "The paper reported 40 % on top."
 def run(quick: bool) -> list[Line]:
     """Measure the update alone and the whole trainer."""
     learning = described_with_950_links()
-    without = replace(
-        learning, learning=replace(learning.learning, rule="none", inheritance="darwinian")
-    )
+    without = learning.changed({"learner.kind": "none"})
     rounds = 3 if quick else 9
     return [_update(learning, rounds), _shared(rounds), _whole(learning, without, quick)]
 
 
 def described_with_950_links() -> RunConfig:
     """The arm `described` with the sensors and actions of the published code."""
-    config = preset("wall", "described")
-    return replace(config, scenario=config.scenario.replaced(sensors="opennero"))
+    return preset("wall", "described", env_kwargs={"sensors": "opennero"})
 
 
 def _update(config: RunConfig, rounds: int) -> Line:
@@ -80,10 +78,13 @@ def _shared(rounds: int) -> Line:
     config = preset("wall", "neatq")
     run = build(config)
     batches = iter(make_collector(run))
-    ticks = round(run.populations[0].interval_ticks)
+    evolution = config.population
+    ticks = round(
+        interval_ticks(evolution.minimum_life_ticks, run.shape[1], evolution.ineligible_fraction)
+    )
     count = ticks // config.ticks_per_batch
     recorded = [next(batches).clone() for _ in range(count)]
-    newborn = torch.zeros(config.shape, dtype=torch.bool)
+    newborn = torch.zeros(run.shape, dtype=torch.bool)
     newborn[0, 0] = True
 
     def act() -> None:

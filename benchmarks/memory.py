@@ -32,7 +32,7 @@ from neatq_torch.learning import (
     CandidateHeads,
     CandidateTDLoss,
     CandidateValue,
-    LearnerConfig,
+    TDConfig,
     TDLearner,
 )
 from neatq_torch.network import PopulationNetwork
@@ -122,7 +122,7 @@ def _used(genomes: list[Genome], candidates: int) -> TDLearner:
     actions = network.outputs // candidates - (candidates > 1)
     heads = CandidateHeads(candidates, [0.0] * actions, [1.0] * actions)
     loss = CandidateTDLoss(CandidateValue(network, heads))
-    learner = TDLearner(network, loss, LearnerConfig(optimizer="adam"))
+    learner = TDLearner(network, loss, TDConfig(optimizer="adam"))
     with torch.no_grad():
         network(torch.zeros(len(genomes), network.inputs))
     return learner

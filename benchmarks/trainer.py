@@ -10,7 +10,7 @@ tensors 27 % (the arena alone 14 %), stacking ticks to batches 15 %, learning fr
 loop and the run folder. What is left to gain is the price of small tensors in Python. Printed by
 
     python -c "import cProfile; from benchmarks.training import trainer_tick_seconds;
-    from neatq_trainers.config import preset; wall = preset('wall', 'neatq');
+    from neatq_torch import preset; wall = preset('wall', 'neatq');
     cProfile.run('trainer_tick_seconds(wall, (1000, 9000))', sort='cumulative')"
 
 The figure moves by a tenth with whatever else the server does.
@@ -20,7 +20,8 @@ from __future__ import annotations
 
 from benchmarks.result import Line, cost_at_most
 from benchmarks.training import whole_run
-from neatq_trainers.config import TASK_TICKS, preset
+from neatq_torch import preset
+from neatq_trainers.arms import TASK_TICKS
 
 
 def run(quick: bool) -> list[Line]:

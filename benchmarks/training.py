@@ -6,8 +6,8 @@ import itertools
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from torchrl.collectors import Collector
@@ -15,34 +15,58 @@ from torchrl.collectors import Collector
 from benchmarks.measure import interleaved
 from benchmarks.result import Goal, Line, compare
 from neatq_envs.arena import Arena
-from neatq_envs.torchrl import ArenaEnv
+from neatq_envs.scenario import Scenario
+from neatq_envs.torchrl_env import ArenaEnv
 from neatq_trainers.config import RunConfig
 from neatq_trainers.train import start
-from neatq_trainers.workers import fitting_workers
+from neatq_trainers.worlds import ArenaConfig
+
+
+class Timed(NamedTuple):
+    """A run of `neatq train`: its wall seconds, and its steps of all genomes if it counts them."""
+
+    seconds: float
+    steps: int
 
 
 def trainer_tick_seconds(config: RunConfig, ticks: tuple[int, int]) -> float:
-    """Wall seconds of one tick of `neatq train`, between two ticks of a run.
+    """Wall seconds of one tick of `neatq train`, between two ticks of a run."""
+    short, long = timed_runs(config, "ticks", ticks)
+    return (long.seconds - short.seconds) / (ticks[1] - ticks[0])
 
-    Two runs are timed, one as long as each of `ticks`, and subtracted: what it takes to begin and
-    to end a run is in both. A run before them loads what is loaded once.
+
+def timed_runs(
+    config: RunConfig, unit: str, lengths: tuple[int, int], *, workers: int | None = None
+) -> list[Timed]:
+    """A run as long as each of `lengths`.
+
+    Subtract them: what it takes to begin and to end a run is in both. A run before them loads what
+    is loaded once.
     """
-    _run_seconds(replace(config, ticks=1))
-    short, long = (_run_seconds(replace(config, ticks=length)) for length in ticks)
-    return (long - short) / (ticks[1] - ticks[0])
+    _timed(config.changed({unit: 1}), workers)
+    return [_timed(config.changed({unit: length}), workers) for length in lengths]
 
 
-def _run_seconds(config: RunConfig) -> float:
+def _timed(config: RunConfig, workers: int | None) -> Timed:
     with tempfile.TemporaryDirectory() as folder:
         begin = time.perf_counter()
-        start(config, Path(folder) / "run", workers=fitting_workers(config.arenas))
-        return time.perf_counter() - begin
+        run = start(config, Path(folder) / "run", workers=workers)
+        seconds = time.perf_counter() - begin
+        steps = run.metrics().get("steps", np.zeros(1))
+        return Timed(seconds, int(steps[-1]) if steps.size else 0)
+
+
+def scenario_of(config: RunConfig) -> Scenario:
+    """The world of a run in the arena."""
+    assert isinstance(config.world, ArenaConfig)
+    return config.world.scenario
 
 
 def arena_tick(config: RunConfig) -> Callable[[], None]:
     """One tick of the bare arenas, with actions drawn beforehand."""
-    arena = Arena(config.scenario, range(config.arenas))
-    low, high = arena.schema.action_bounds(config.scenario)
+    scenario = scenario_of(config)
+    arena = Arena(scenario, range(config.arenas))
+    low, high = arena.schema.action_bounds(scenario)
     rng = np.random.default_rng(0)
     actions = rng.uniform(low, high, (64, *arena.shape, len(low))).astype(np.float32)
     turns = itertools.cycle(actions)
@@ -51,7 +75,7 @@ def arena_tick(config: RunConfig) -> Callable[[], None]:
 
 def collector_batch(config: RunConfig) -> Callable[[], object]:
     """One batch of TorchRL's collector, its random policy in the same arenas."""
-    env = ArenaEnv(config.scenario, arenas=config.arenas)
+    env = ArenaEnv(scenario_of(config), arenas=config.arenas)
     collector = Collector(
         env,
         None,
@@ -76,7 +100,7 @@ def whole_run(
     samples = {name: np.concatenate([one[name] for one in worlds]) for name in parts}
     samples["collector"] /= config.ticks_per_batch
     micros = np.array(trainer) * 1e6
-    robots = config.arenas * config.scenario.robots
+    robots = config.arenas * scenario_of(config).robots
     rate = 1e6 / float(np.median(micros))
     note = f"{rate:,.0f} ticks/s, {rate * robots:,.0f} robot-steps/s."
     return [

@@ -9,7 +9,6 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,26 +16,36 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 from torch.utils._python_dispatch import TorchDispatchMode
+from torchrl.collectors import Collector
 
+from neatq_envs.scenario import TASKS
+from neatq_envs.torchrl_env import ArenaEnv
 from neatq_torch.genome import InnovationLedger, MutationConfig, initial_genome, mutate
-from neatq_torch.learning import ReplayConfig
+from neatq_torch.learning import (
+    CandidateHeads,
+    CandidatePolicy,
+    EpsilonGreedy,
+    LearnerParts,
+    ReplayConfig,
+    TDConfig,
+    learner_kinds,
+)
 from neatq_torch.network import PopulationNetwork
-from neatq_trainers.build import Run, build
-from neatq_trainers.config import preset
-from neatq_trainers.loop import make_collector
 
 # Upper bounds, about 1.3 times what was counted: releases of torch, TorchRL and Python differ by a
 # few percent. To count again: python -m pytest tests/test_cost.py -rP
-CALLS_PER_TICK = 1700
+CALLS_PER_TICK = 1550
 CALLS_PER_TICK_AND_ARENA = 55
-OPERATORS_PER_TICK = 95
-CALLS_PER_UPDATE = 3250
-OPERATORS_PER_UPDATE = 235
-CALLS_PER_SHARED_UPDATE_AND_ARENA = 700
-CALLS_PER_REPLACEMENT = 610
+OPERATORS_PER_TICK = 90
+CALLS_PER_UPDATE = 3100
+OPERATORS_PER_UPDATE = 220
+CALLS_PER_SHARED_UPDATE_AND_ARENA = 660
+CALLS_PER_REPLACEMENT = 210
 
 TICKS = 10
 FEW, MANY = 30, 50  # the physics has two Spaces for either
+OWN = TDConfig(learning_rate=0.03, optimizer="adam", discount=0.9)
+SHARED = ReplayConfig(learning_rate=0.03, optimizer="adam", discount=0.9, updates=4, horizon=40)
 
 
 class _Operators(TorchDispatchMode):
@@ -81,7 +90,7 @@ def calls(action: Callable[[], object]) -> int:
 
 
 class Team:
-    """Robots of the arm neatq that never end a life, a few batches after their birth.
+    """Robots that look for a flag behind a wall and never end a life, a few batches after birth.
 
     They learn from their own ticks, unless from those of all (`shared`).
     """
@@ -89,14 +98,30 @@ class Team:
     def __init__(
         self, *, arenas: int = 1, robots: int = FEW, ticks: int = TICKS, shared: bool = False
     ) -> None:
-        config = preset("wall", "neatq")
-        scenario = config.scenario.replaced(robots=robots, lifetime_ticks=0)
-        config = replace(config, scenario=scenario, arenas=arenas, batch_ticks=ticks)
-        if not shared:
-            learning = replace(config.learning, rule="td", replay=ReplayConfig())
-            config = replace(config, learning=learning)
-        self.run: Run = build(config)
-        self._batches: Iterator[TensorDictBase] = iter(make_collector(self.run))
+        scenario = TASKS["wall"].replaced(robots=robots, lifetime_ticks=0)
+        env = ArenaEnv(scenario, arenas=arenas, seed=0)
+        low, high = env.arena.schema.action_bounds(scenario)
+        heads, seeds = CandidateHeads(5, low.tolist(), high.tolist()), range(arenas)
+        inputs, rng = len(env.arena.schema.observations), np.random.default_rng(0)
+        genomes = [
+            initial_genome(inputs, heads.outputs, rng=rng, genome_id=number)
+            for number in range(arenas * robots)
+        ]
+        network = PopulationNetwork(genomes, shape=(arenas, robots))
+        exploration = EpsilonGreedy((arenas, robots), seeds=seeds, epsilon=0.01)
+        config = SHARED if shared else OWN
+        parts = LearnerParts(network, heads, (arenas, robots), seeds)
+        self.learner = learner_kinds.maker_of(config)(config, parts)
+        collector = Collector(
+            env,
+            CandidatePolicy(network, heads, exploration),
+            frames_per_batch=arenas * robots * ticks,
+            total_frames=-1,
+            auto_register_policy_transforms=False,
+            use_buffers=False,  # a network's state may grow from batch to batch
+            track_traj_ids=False,
+        )
+        self._batches: Iterator[TensorDictBase] = iter(collector)
         for _ in range(3):  # whatever is made once is made now
             self.live()
 
@@ -104,14 +129,10 @@ class Team:
         return next(self._batches)
 
     def learn(self, batch: TensorDictBase) -> None:
-        self.run.learner.update(batch)
+        self.learner.update(batch)
 
     def live(self) -> None:
-        batch = self.act()
-        self.learn(batch)
-        rewards = batch.get(("next", "reward_vector")).numpy()
-        for population, reward in zip(self.run.populations, rewards, strict=True):
-            population.record(reward)
+        self.learn(self.act())
 
     def counts(self) -> dict[str, int]:
         """Calls and operators of one batch and of one update."""

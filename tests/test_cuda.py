@@ -18,7 +18,7 @@ from neatq_torch.learning import (
     CandidateTDLoss,
     CandidateValue,
     EpsilonGreedy,
-    LearnerConfig,
+    TDConfig,
     TDLearner,
     TraceLearner,
     WireFittingLoss,
@@ -88,7 +88,7 @@ def learner_on(device: str, rule: str) -> TDLearner | TraceLearner:
     value = CandidateValue(network, heads(), propose=wires)
     loss = (WireFittingLoss if wires else CandidateTDLoss)(value, delay_value=True).to(device)
     loss.make_value_estimator(gamma=0.9)
-    return TDLearner(network, loss, LearnerConfig(learning_rate=0.05, target_tau=0.1))
+    return TDLearner(network, loss, TDConfig(learning_rate=0.05, target_tau=0.1))
 
 
 def test_networks_give_the_outputs_and_gradients_of_the_cpu() -> None:
@@ -159,11 +159,13 @@ def test_acting_does_not_wait_for_the_host() -> None:
 
 
 def test_what_was_learnt_is_written_back() -> None:
-    genomes = some_genomes(heads().outputs)
-    ledger = InnovationLedger.for_genomes(genomes)
-    population = RtNEAT(RtNEATConfig(), genomes, np.random.default_rng(0), ledger, ROBOTS + 1)
     learner = learner_on("cuda", "td")
+    inputs = learner.network.inputs
+    population = RtNEAT.start(
+        RtNEATConfig(), slots=len(some_genomes(1)), inputs=inputs, outputs=heads().outputs, rng=0
+    )
+    population.genomes = some_genomes(heads().outputs)
     learner.update(act("cuda"))
     write_back(learner.network, [population])
-    for index, genome in enumerate(population.genomes):
-        assert np.array_equal(genome.link_weight, learner.network.genome(index).link_weight)
+    for slot, genome in enumerate(population.genomes):
+        assert np.array_equal(genome.link_weight, learner.network.genome(slot).link_weight)

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import torch
 from torchrl.collectors import Collector
 
-from neatq_envs.scenario import TASKS
-from neatq_envs.torchrl import ArenaEnv
-from neatq_torch import learning as nl
-from neatq_torch.evolution import RtNEAT, RtNEATConfig
-from neatq_torch.network import PopulationNetwork
+import neatq_torch as nq
+from neatq_envs import ArenaEnv, find_scenario
+from neatq_trainers import loop
+
+README = Path(__file__).resolve().parents[1] / "README.md"
+STEPS = ["compile", "act", "the world moves", "learn", "judge", "write back", "replace"]
 
 
 def test_the_seven_steps() -> None:
-    env = ArenaEnv(TASKS["flag"].replaced(robots=6, lifetime_ticks=40))
-    config = RtNEATConfig(minimum_life_ticks=40, reward_weights=(0.0, 0.0, 1.0))
-    heads = nl.CandidateHeads(3, [-1.0, -0.2], [1.0, 0.2])
-    population = RtNEAT.start(config, robots=6, inputs=12, outputs=heads.outputs, seed=0)
+    scenario = find_scenario("flag", changes={"robots": 6, "lifetime_ticks": 40})
+    env, heads = ArenaEnv(scenario), nq.CandidateHeads(3, [-1.0, -0.2], [1.0, 0.2])
+    evolution = nq.RtNEATConfig(minimum_life_ticks=40)
+    population = nq.RtNEAT.start(
+        evolution, slots=6, inputs=12, outputs=9, rng=0, reward_weights=(0.0, 0.0, 1.0)
+    )
     # 1 compile: genomes become one network
-    network = PopulationNetwork(population.genomes, shape=(1, 6))
-    policy = nl.CandidatePolicy(network, heads, nl.EpsilonGreedy((1, 6), seeds=[0]))
-    loss = nl.CandidateTDLoss(nl.CandidateValue(network, heads), normalize_return=True)
-    learner = nl.TDLearner(network, loss, nl.LearnerConfig(learning_rate=0.1))
+    network = nq.PopulationNetwork(population.genomes, shape=(1, 6))
+    policy = nq.CandidatePolicy(network, heads, nq.EpsilonGreedy((1, 6), seeds=[0]))
+    loss = nq.CandidateTDLoss(nq.CandidateValue(network, heads), normalize_return=True)
+    learner = nq.TDLearner(network, loss, nq.TDConfig(learning_rate=0.1))
     collector = Collector(
         env,
         policy,
@@ -30,19 +36,26 @@ def test_the_seven_steps() -> None:
         auto_register_policy_transforms=False,
         use_buffers=False,
     )
-    # 2 act: the collector runs the robots in the arena
+    # 2 act, 3 the world moves: the collector does both, tick by tick
     for batch in collector:
         assert batch.shape == (1, 6, 60)
         before = population.genomes[0].link_weight
-        assert learner.update(batch).shape == (1, 6)  # 3 learn: one step of each own network
-        nl.write_back(network, [population])  # 4 write back
+        assert learner.update(batch).shape == (1, 6)  # 4 learn: each slot its own network
+        population.record(batch.get(("next", "reward_vector"))[0])  # 5 judge: fitness and age
+        nq.write_back(network, [population])  # 6 write back
         assert (population.genomes[0].link_weight != before).any()
-        population.record(batch.get(("next", "reward_vector"))[0])  # 5 fitness and age
         newborn = torch.zeros(1, 6, dtype=torch.bool)
-        for replacement in population.replace():  # 6 rtNEAT replaces the worst
-            network.replace(replacement.slot, replacement.genome)  # 7 compile again
+        for replacement in population.advance():  # 7 replace, and 1 compile again
+            network.replace(replacement.slot, replacement.genome)
             newborn[0, replacement.slot] = True
         learner.reset(newborn)
         policy.reset(newborn)
         assert newborn.sum() == population.births == 1
         assert network.genome_id[newborn].item() == 7
+
+
+def test_the_readme_and_the_loop_tell_the_same_seven_steps() -> None:
+    told = re.findall(r"^\d\. \*\*(.+?)\*\*", README.read_text(encoding="utf-8"), re.MULTILINE)
+    numbered = re.findall(r"^(\d) ([a-z ]+?):", loop.__doc__ or "", re.MULTILINE)
+    assert [one.lower() for one in told] == STEPS
+    assert numbered == [(str(number), step) for number, step in enumerate(STEPS, 1)]

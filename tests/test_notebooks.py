@@ -1,7 +1,8 @@
-"""Every notebook runs from its first cell to its last."""
+"""Every notebook runs from its first cell to its last, on what everybody may import."""
 
 from __future__ import annotations
 
+import ast
 import os
 import shutil
 import sys
@@ -11,7 +12,14 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
-NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.ipynb"))
+import neatq_envs
+import neatq_torch
+
+ROOT = Path(__file__).resolve().parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+FACE = {"neatq_torch": neatq_torch.__all__, "neatq_envs": neatq_envs.__all__}
+MOST_NAMES = 40
 CELL_LIMIT_SECONDS = 120
 
 
@@ -22,8 +30,44 @@ def kernel_environment() -> dict[str, str]:
     return environment | {"PYTHONPATH": packages, "OMP_NUM_THREADS": "1"}
 
 
+def code_of(path: Path) -> str:
+    """A script, or the code of a notebook without what only IPython understands."""
+    if path.suffix == ".py":
+        return path.read_text(encoding="utf-8")
+    cells = nbformat.read(path, as_version=nbformat.NO_CONVERT).cells
+    lines = [line for one in cells if one.cell_type == "code" for line in one.source.splitlines()]
+    return "\n".join(line for line in lines if not line.startswith("%"))
+
+
+def hidden_imports(code: str) -> list[str]:
+    """What code imports of this project beside its public face."""
+    hidden = []
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Import):
+            hidden += [one.name for one in node.names if one.name not in FACE]
+        elif isinstance(node, ast.ImportFrom):
+            home = node.module or ""
+            names = [one.name for one in node.names if one.name not in FACE.get(home, ())]
+            hidden += [f"{home}: {name}" for name in names]
+    return [one for one in hidden if one.startswith("neatq_")]
+
+
 def test_there_is_a_notebook_to_run() -> None:
     assert NOTEBOOKS
+
+
+@pytest.mark.parametrize("path", [*NOTEBOOKS, *EXAMPLES], ids=lambda path: path.name)
+def test_what_is_there_to_copy_imports_the_public_face_only(path: Path) -> None:
+    assert not hidden_imports(code_of(path))
+
+
+def test_an_import_from_within_is_found() -> None:
+    code = "import neatq_torch as nq, neatq_trainers\nfrom neatq_envs import ArenaEnv, arena"
+    assert hidden_imports(code) == ["neatq_trainers", "neatq_envs: arena"]
+
+
+def test_the_public_face_stays_small() -> None:
+    assert len(neatq_torch.__all__) <= MOST_NAMES
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)

@@ -1,12 +1,89 @@
 """Worlds for neuroevolution and reinforcement learning.
 
-Robots, walls and a flag (`arena`), and benchmark tasks with known answers. The environments know
-nothing of genomes or learning. Importing this package tells Gymnasium about them, so that
-`gymnasium.make("neatq_envs:neatq/MountainCar-v0")` needs no other import.
+Robots, walls and a flag, benchmark tasks with known answers, and any Gymnasium task in rows. They
+know nothing of genomes or learning. Importing this package tells Gymnasium about its tasks, so
+that `gymnasium.make("neatq_envs:neatq/MountainCar-v0")` needs no other import.
 """
 
 from __future__ import annotations
 
-from neatq_envs.registration import register_all
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+
+if TYPE_CHECKING:
+    from neatq_envs.checks import ScenarioError
+    from neatq_envs.episodes import EpisodeError
+    from neatq_envs.gymnasium_task import GymnasiumTask, TaskError
+    from neatq_envs.pettingzoo_env import TeamEnv
+    from neatq_envs.scenario import TASKS, Scenario, find_scenario, load_scenario
+    from neatq_envs.torchrl_env import ArenaEnv
+    from neatq_envs.torchrl_rows import GymnasiumRows
+
+_PLACES = {
+    "ArenaEnv": "torchrl_env",
+    "EpisodeError": "episodes",
+    "GymnasiumRows": "torchrl_rows",
+    "GymnasiumTask": "gymnasium_task",
+    "Scenario": "scenario",
+    "ScenarioError": "checks",
+    "TASKS": "scenario",
+    "TaskError": "gymnasium_task",
+    "TeamEnv": "pettingzoo_env",
+    "find_scenario": "scenario",
+    "load_scenario": "scenario",
+}
+
+__all__ = [
+    "TASKS",
+    "ArenaEnv",
+    "EpisodeError",
+    "GymnasiumRows",
+    "GymnasiumTask",
+    "Scenario",
+    "ScenarioError",
+    "TaskError",
+    "TeamEnv",
+    "find_scenario",
+    "load_scenario",
+]
+
+# Of each id: module and name of its classes (+ "Env", + "VectorEnv"), the steps after which an
+# episode is cut off (None: it ends by itself, or the task cuts it off), arguments of the classes.
+_TASKS: dict[str, tuple[str, int | None, dict[str, Any]]] = {
+    "neatq/DoublePole-v0": ("double_pole:DoublePole", 100_000, {}),
+    "neatq/DoublePoleNoVelocities-v0": ("double_pole:DoublePole", 100_000, {"velocities": False}),
+    "neatq/MountainCar-v0": ("mountain_car:MountainCar", 1_000, {}),
+    "neatq/ServerJobs-v0": ("server_jobs:ServerJobs", None, {}),
+}
+# Scenario "moving" is one draw of these flags, of which an episode would see but the first.
+_ANYWHERE = {"name": "moving", "flag": {"ring": [100, 250]}}
+_SCENARIOS = {"Flag": "flag", "Moving": _ANYWHERE, "Wall": "wall", "Trap": "trap"}
+_SCENARIOS |= {"Maze": "maze", "Switch": "switch"}
+for _name, _scenario in _SCENARIOS.items():
+    _kwargs = {"scenario": _scenario, "reward": "progress"}
+    _TASKS[f"neatq/{_name}-v0"] = ("robot:Robot", None, _kwargs)
+
+
+def register_all() -> None:
+    """Tell Gymnasium about all tasks; calling it again changes nothing."""
+    for name, (place, steps, kwargs) in _TASKS.items():
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                name,
+                entry_point=f"neatq_envs.{place}Env",
+                vector_entry_point=f"neatq_envs.{place}VectorEnv",
+                max_episode_steps=steps,
+                kwargs=dict(kwargs),
+            )
+
 
 register_all()
+
+
+def __getattr__(name: str) -> Any:
+    # Looked up when asked for: torch and PettingZoo take seconds to import.
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)

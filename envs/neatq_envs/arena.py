@@ -1,28 +1,28 @@
-"""The world of robots, walls and a flag: plain numpy in, plain numpy out."""
+"""The worlds of robots, walls and a flag: plain numpy in, plain numpy out."""
 
 from __future__ import annotations
 
-import copy
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numba import njit
 
-from neatq_envs.flags import Flags
+from neatq_envs.flags import ArenaFlags
 from neatq_envs.physics import Physics
 from neatq_envs.rewards import Rewards, flag_distance
 from neatq_envs.scenario import REWARD_DIMENSIONS, Scenario, ScenarioError
 from neatq_envs.sensors import IGNORE_ABOVE, Senses
-from neatq_envs.steering import directions, steer
 
-# Streams of random numbers of one arena: [seed, stream]. Flags have their own, so that their
-# places do not depend on how often robots respawn.
-_SPAWN_STREAM, _FLAG_STREAM = 0, 1
-_ARRAYS = ("heading_rad", "age_ticks", "observation", "reward", "reward_vector", "distance")
+# Random numbers of one arena, of [seed, index here]. Flags have their own, so that their places do
+# not depend on how often robots respawn.
+_STREAMS = ("spawn_generators", "flag_generators")
+_WORLD_ARRAYS = ("heading_rad", "age_ticks", "observation", "reward", "reward_vector", "distance")
 
 
 class Arena:
-    """Several arenas of one scenario, stepped together; none influences another.
+    """Steps several arenas of one scenario together; none influences another.
 
     One tick: headings turn, robots move along their *new* headings as far as walls let them,
     rewards are given, ages grow, the flag may move (or the other of two may count), robots sense.
@@ -31,12 +31,9 @@ class Arena:
     All arrays are replaced as a whole and never written in place: what was handed out stays.
 
     Attributes:
-        position: float64 [arenas, robots, 2], units; y points up.
         heading_rad: float64 [arenas, robots], in (-pi, pi], counterclockwise from the x axis.
         age_ticks: int64 [arenas, robots], ticks since the robot's life began.
-        truncated: bool [arenas, robots], whether a life has lasted `lifetime_ticks`.
-        flag: float64 [arenas, 2], units; of two flags the one that counts.
-        distance: float64 [arenas, robots] to that flag, units.
+        distance: float64 [arenas, robots] to the flag that counts, units.
         observation: float32 [arenas, robots, observations] in [0, 1]. After `respawn`, robots
             that were not respawned keep what they sensed at the end of the last tick.
         reward: float64 [arenas, robots], of the last tick, for learning, in [0, 1].
@@ -55,17 +52,18 @@ class Arena:
         self._bounds = low.astype(np.float64), high.astype(np.float64)
         self._physics = Physics(scenario, len(seeds))
         self.seeds = tuple(int(seed) for seed in seeds)
-        self._spawn_generators = [_generator(seed, _SPAWN_STREAM) for seed in self.seeds]
-        self._flag_generators = [_generator(seed, _FLAG_STREAM) for seed in self.seeds]
-        self._flags = Flags(scenario, self._flag_generators)
+        self._generators = {
+            name: [np.random.default_rng([seed, stream]) for seed in self.seeds]
+            for stream, name in enumerate(_STREAMS)
+        }
+        self._flags = ArenaFlags(scenario, self._generators["flag_generators"])
         self._spawn_centres = np.array([(spawn.x, spawn.y) for spawn in scenario.spawns])
         self._jitters = np.array([spawn.jitter for spawn in scenario.spawns])
-        schema, shape = self.schema, self.shape
         self.tick, self._began = 0, np.zeros(len(seeds), dtype=np.int64)
-        self.age_ticks = np.zeros(shape, dtype=np.int64)
-        self.heading_rad, self.reward = np.zeros(shape), np.zeros(shape)
-        self.reward_vector = np.zeros((*shape, len(REWARD_DIMENSIONS)))
-        self.observation = np.zeros((*shape, len(schema.observations)), dtype=np.float32)
+        self.age_ticks = np.zeros(self.shape, dtype=np.int64)
+        self.heading_rad = self.reward = np.zeros(self.shape)
+        self.reward_vector = np.zeros((*self.shape, len(REWARD_DIMENSIONS)))
+        self.observation = np.zeros((*self.shape, len(self.schema.observations)), np.float32)
         self.reset()
 
     @property
@@ -75,17 +73,17 @@ class Arena:
 
     @property
     def position(self) -> np.ndarray:
-        """Positions, float64 [arenas, robots, 2]."""
+        """Positions, float64 [arenas, robots, 2], units; y points up."""
         return self._physics.position
 
     @property
     def flag(self) -> np.ndarray:
-        """Places of the flags that count, float64 [arenas, 2]."""
+        """Places of the flags, of two the one that counts, float64 [arenas, 2], units."""
         return self._flags.place
 
     @property
     def truncated(self) -> np.ndarray:
-        """Lives that are over, bool [arenas, robots]."""
+        """Whether lives have lasted `lifetime_ticks`, bool [arenas, robots]."""
         lifetime = self.scenario.lifetime_ticks
         return (self.age_ticks >= lifetime) & bool(lifetime)
 
@@ -103,7 +101,8 @@ class Arena:
                 numbers go on where the old world left them.
         """
         if seeds is not None:
-            self._seed(arenas, seeds)
+            for arena in np.flatnonzero(arenas).tolist():
+                self._seed(arena, seeds[arena])
         self._began = np.where(arenas, self.tick, self._began)
         self._flags.begin(arenas)
         everyone = np.repeat(arenas[:, None], self.scenario.robots, axis=1)
@@ -116,10 +115,8 @@ class Arena:
     def respawn(self, mask: np.ndarray) -> None:
         """Begin new lives for the robots of `mask`, bool [arenas, robots]; the world goes on."""
         if mask.shape != self.shape or mask.dtype != bool:
-            raise ValueError(
-                f"mask: expected bool [arenas, robots] = {list(self.shape)}, "
-                f"got {mask.dtype} {list(mask.shape)}"
-            )
+            words = f"{list(self.shape)}, got {mask.dtype} {list(mask.shape)}"
+            raise ValueError(f"mask: expected bool [arenas, robots] = {words}")
         if not mask.any():
             return
         place, heading_rad = self._draw_spawns(mask)
@@ -145,10 +142,18 @@ class Arena:
         Raises:
             ValueError: of a wrong shape, or naming the robot whose action is not finite.
         """
-        actions = self._checked(actions)
+        wanted = (*self.shape, len(self.schema.actions))
+        if actions.shape != wanted:
+            words = f"{list(wanted)}, got {list(actions.shape)}"
+            raise ValueError(f"actions: expected [arenas, robots, actions] = {words}")
+        actions = np.array(actions, dtype=np.float64, order="C")
         finite, heading_rad, speed = steer(actions, self.heading_rad, *self._bounds)
         if not finite:
-            raise self._not_finite(actions)
+            arena, robot, action = np.argwhere(~np.isfinite(actions))[0].tolist()
+            raise ValueError(
+                f"action {self.schema.actions[action]} of robot {robot} in arena {arena} is "
+                f"{actions[arena, robot, action]}; expected a finite number"
+            )
         self.heading_rad, ahead = heading_rad, directions(heading_rad)
         self._physics.move(speed[..., None] * ahead)
         self.reward_vector, self.reward, self.distance = self._rewards.after_move(
@@ -162,15 +167,15 @@ class Arena:
         self.observation = self._sense(ahead, ignore)
 
     def rebuild(self) -> None:
-        """Build the physics anew from the arrays.
+        """Build the physics anew from the arrays, as a restored run does.
 
-        Physics holds contacts that no array shows, so a run continues bit for bit from
-        `world_state` only if it rebuilds at that tick, as the restored run does.
+        A run continues bit for bit from `world_state` only if it rebuilds at that tick, too:
+        physics holds contacts that no array shows.
         """
         self._physics.rebuild(self._physics.place, self._physics.velocity)
 
     def world_state(self) -> dict[str, Any]:
-        """Return all that the worlds are: a nested dict of numpy arrays and JSON values."""
+        """All that the worlds are: a nested dict of numpy arrays and JSON values."""
         return {
             "scenario": self.scenario.to_dict(),
             "seeds": list(self.seeds),
@@ -179,9 +184,11 @@ class Arena:
             "place": self._physics.place.copy(),
             "velocity": self._physics.velocity.copy(),
             "flag": self.flag.copy(),
-            "spawn_generators": _states(self._spawn_generators),
-            "flag_generators": _states(self._flag_generators),
-            **{name: getattr(self, name).copy() for name in _ARRAYS},
+            **{
+                name: [rng.bit_generator.state for rng in generators]
+                for name, generators in self._generators.items()
+            },
+            **{name: getattr(self, name).copy() for name in _WORLD_ARRAYS},
         }
 
     def load_world_state(self, state: Mapping[str, Any]) -> None:
@@ -197,53 +204,33 @@ class Arena:
                 f"{self.scenario.to_dict()}; make the arena from the state's scenario"
             )
         if len(state["seeds"]) != len(self.seeds):
-            raise ScenarioError(
-                f"the state has {len(state['seeds'])} arenas, this has {len(self.seeds)}"
-            )
+            words = f"the state has {len(state['seeds'])} arenas, this has {len(self.seeds)}"
+            raise ScenarioError(words)
         self.seeds, self.tick = tuple(state["seeds"]), state["tick"]
         self._began = np.array(state.get("began", np.zeros(len(self.seeds))), dtype=np.int64)
-        for name in _ARRAYS:
+        for name in _WORLD_ARRAYS:
             setattr(self, name, np.array(state[name], dtype=getattr(self, name).dtype))
         self._flags.place = np.array(state["flag"])
-        _restore(self._spawn_generators, state["spawn_generators"])
-        _restore(self._flag_generators, state["flag_generators"])
+        for name, generators in self._generators.items():
+            for rng, stored in zip(generators, state[name], strict=True):
+                rng.bit_generator.state = stored
         self._physics.rebuild(np.array(state["place"]), np.array(state["velocity"]))
 
-    def _seed(self, arenas: np.ndarray, seeds: Sequence[int | None]) -> None:
-        """Give arenas the random numbers that they would have if they were made with a seed."""
-        now = list(self.seeds)
-        for arena in np.flatnonzero(arenas).tolist():
-            if (seed := seeds[arena]) is not None:
-                now[arena] = int(seed)
-                self._spawn_generators[arena] = _generator(now[arena], _SPAWN_STREAM)
-                self._flag_generators[arena] = _generator(now[arena], _FLAG_STREAM)
-        self.seeds = tuple(now)
+    def _seed(self, arena: int, seed: int | None) -> None:
+        """Give an arena the random numbers that it would have if it were made with a seed."""
+        if seed is not None:
+            self.seeds = (*self.seeds[:arena], int(seed), *self.seeds[arena + 1 :])
+            for stream, name in enumerate(_STREAMS):
+                self._generators[name][arena] = np.random.default_rng([int(seed), stream])
 
     def _sense(self, ahead: np.ndarray, ignore: np.ndarray | None = None) -> np.ndarray:
         flag, second = self._flags.sensed
         return self._senses.sense(self.position, ahead, flag, ignore, second)
 
-    def _checked(self, actions: np.ndarray) -> np.ndarray:
-        """Return actions of the right shape as a new float64 array."""
-        wanted = (*self.shape, len(self.schema.actions))
-        if actions.shape != wanted:
-            raise ValueError(
-                f"actions: expected [arenas, robots, actions] = {list(wanted)}, "
-                f"got {list(actions.shape)}"
-            )
-        return np.array(actions, dtype=np.float64, order="C")
-
-    def _not_finite(self, actions: np.ndarray) -> ValueError:
-        arena, robot, action = np.argwhere(~np.isfinite(actions))[0].tolist()
-        return ValueError(
-            f"action {self.schema.actions[action]} of robot {robot} in arena {arena} is "
-            f"{actions[arena, robot, action]}; expected a finite number"
-        )
-
     def _draw_spawns(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return places [arenas, robots, 2] and headings [arenas, robots], drawn where masked."""
+        """Places [arenas, robots, 2] and headings [arenas, robots], drawn where masked."""
         place, heading = np.zeros((*self.shape, 2)), np.zeros(self.shape)
-        for arena, rng in enumerate(self._spawn_generators):
+        for arena, rng in enumerate(self._generators["spawn_generators"]):
             robots = np.flatnonzero(mask[arena])
             if not len(robots):
                 continue
@@ -256,14 +243,32 @@ class Arena:
         return place, heading
 
 
-def _generator(seed: int, stream: int) -> np.random.Generator:
-    return np.random.default_rng([seed, stream])
+@njit(cache=True)
+def steer(
+    actions: np.ndarray, heading_rad: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[bool, np.ndarray, np.ndarray]:
+    """Whether all actions are finite, and the headings in (-pi, pi] and speeds they lead to.
+
+    Actions are float64 [arenas, robots, actions]: speed in units per tick, turn in rad (less than
+    one round), others; clipped to `low` and `high` [actions]. The others are [arenas, robots].
+    """
+    finite = True
+    heading, speed = np.empty_like(heading_rad), np.empty_like(heading_rad)
+    for arena in range(len(actions)):
+        for robot in range(len(actions[arena])):
+            for action in range(len(low)):
+                finite &= math.isfinite(actions[arena, robot, action])
+            speed[arena, robot] = min(max(actions[arena, robot, 0], low[0]), high[0])
+            angle = heading_rad[arena, robot]
+            angle += min(max(actions[arena, robot, 1], low[1]), high[1])
+            if angle > math.pi:  # less than one turn away: no precision is lost
+                angle -= 2 * math.pi
+            elif angle <= -math.pi:
+                angle += 2 * math.pi
+            heading[arena, robot] = angle
+    return finite, heading, speed
 
 
-def _states(generators: Sequence[np.random.Generator]) -> list[dict[str, Any]]:
-    return [copy.deepcopy(dict(rng.bit_generator.state)) for rng in generators]
-
-
-def _restore(generators: Sequence[np.random.Generator], states: Sequence[Any]) -> None:
-    for rng, state in zip(generators, states, strict=True):
-        rng.bit_generator.state = state
+def directions(heading_rad: np.ndarray) -> np.ndarray:
+    """Cosine and sine of headings [arenas, robots], float64 [arenas, robots, 2]."""
+    return np.stack([np.cos(heading_rad), np.sin(heading_rad)], axis=-1)

@@ -1,23 +1,72 @@
-"""Where the flags of all arenas stand, and which one counts."""
+"""Where the flags of all arenas stand, when they move, and which one counts."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from neatq_envs.scenario import Scenario, ScenarioError
+from neatq_envs.checks import ScenarioError, pair, require, require_fields
+
+if TYPE_CHECKING:
+    from neatq_envs.scenario import Scenario
 
 _TRIES = 10_000
 
 
-class Flags:
-    """The flags of all arenas, moved by the scenario's schedule.
+@dataclass(frozen=True, kw_only=True)
+class FlagSchedule:
+    """Where the flag stands and when it moves, or where two flags stand and which one counts.
 
-    Args:
-        scenario: gives the schedule.
-        generators: one for each arena, used for nothing else.
+    Attributes:
+        positions: places (x, y) in units, visited in order; the list wraps.
+        interval_ticks: ticks between two moves; 0 = the flag never moves.
+        ring: instead of `positions`: (least, greatest) distance to the first spawn, drawn anew
+            for each move by a random generator of the flag's own, so that the places do not
+            depend on how often robots respawn.
+        switch_ticks: greater than 0: a flag stands at each of two `positions` all the time, and
+            only one of them counts: rewards and distances are to that one. After so many ticks
+            the other one counts, and so on; which is the first is drawn for each world.
+    """
+
+    positions: tuple[tuple[float, float], ...] = ()
+    interval_ticks: int = 0
+    ring: tuple[float, float] | None = None
+    switch_ticks: int = 0
+
+    def __post_init__(self) -> None:
+        require_fields(FlagSchedule, vars(self), "flag")
+        words = f"flag.positions: expected a list of [x, y], got {self.positions!r}"
+        require(isinstance(self.positions, list | tuple), words)
+        places = tuple(pair(f"flag.positions[{i}]", at) for i, at in enumerate(self.positions))
+        object.__setattr__(self, "positions", places)
+        require(
+            bool(places) == (self.ring is None),
+            "flag: give either positions (a list of [x, y]) or ring ([least, greatest] "
+            f"distance to the first spawn), got {'both' if places else 'neither'}",
+        )
+        if self.ring is not None:
+            least, greatest = pair("flag.ring", self.ring)
+            object.__setattr__(self, "ring", (least, greatest))
+            words = f"flag.ring: expected 0 <= least <= greatest, got [{least}, {greatest}]"
+            require(0 <= least <= greatest, words)
+        require(
+            not self.switch_ticks or (len(places) == 2 and places[0] != places[1]),
+            "flag.switch_ticks: expected two different places in flag.positions, one for each "
+            f"flag, got {list(places)}",
+        )
+        require(
+            not (self.switch_ticks and self.interval_ticks),
+            "flag.switch_ticks: flags that switch do not move; leave out "
+            f"flag.interval_ticks, got {self.interval_ticks}",
+        )
+
+
+class ArenaFlags:
+    """The flags of all arenas, each with a random generator that is used for nothing else.
 
     Attributes:
         place: of the flag that counts, float64 [arenas, 2] in units; replaced as a whole, never
@@ -25,8 +74,7 @@ class Flags:
     """
 
     def __init__(self, scenario: Scenario, generators: Sequence[np.random.Generator]) -> None:
-        self._scenario = scenario
-        self._generators = generators
+        self._scenario, self._generators = scenario, generators
         self._positions = scenario.flag.positions
         self.place = np.zeros((len(generators), 2))
         places = self._positions if scenario.flag.switch_ticks else ()
@@ -45,10 +93,9 @@ class Flags:
         self._put(np.flatnonzero(arenas), np.zeros(len(self.place), dtype=np.int64))
 
     def update(self, ticks: np.ndarray) -> bool:
-        """Move the flags that are due, or let the other one count; return whether any was due.
+        """Move the flags that are due, or let the other one count; whether any was due.
 
-        Args:
-            ticks: since the world of each arena was made, int64 [arenas], greater than 0.
+        `ticks`, int64 [arenas], are those since the world of each arena was made, 1 or more.
         """
         interval = self._scenario.flag.interval_ticks or self._scenario.flag.switch_ticks
         due = np.flatnonzero(ticks % interval == 0) if interval else ()
@@ -64,7 +111,7 @@ class Flags:
         self.place = place
 
     def _next(self, arena: int, move: int) -> tuple[float, float]:
-        """Return where the flag that counts stands after a move; its first place is move 0."""
+        """Where the flag that counts stands after a move; its first place is move 0."""
         rng, positions = self._generators[arena], self._positions
         if self._scenario.flag.ring is not None:
             return self._draw(rng)

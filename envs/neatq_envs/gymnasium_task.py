@@ -23,54 +23,54 @@ PREFIX = "gym:"
 MOST_OBSERVATIONS = 512
 """Beyond this, a network that begins with a link from every input has too many to evolve."""
 
-_EXTRAS = {
-    "box2d": "box2d",
-    "mujoco": "mujoco",
-    "classic_control": "classic-control",
-    "toy_text": "toy-text",
-}
+_EXTRAS = ("box2d", "mujoco", "classic-control", "toy-text")
+_REGISTER = "register what you wrapped in a module of yours: --task gym:my_module:MyEnv-v0"
+_JSON_WORDS = {"True": "true", "False": "false", "None": "null"}
 
 
 class TaskError(ValueError):
     """A Gymnasium environment cannot be used; the message says why and how to mend it."""
 
 
+def assignments(texts: Sequence[str]) -> dict[str, Any]:
+    """What "name=value" says, several times.
+
+    A value is read as JSON (`true`, `-5.0`, `"text"`, `null`, `[1, 2]`); what is no JSON is a text.
+    A `TaskError` names the one that has no name or no value.
+    """
+    values: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not name.isidentifier() or not equals:
+            words = f"expected name=value, such as continuous=true; got {text!r}"
+            raise TaskError(f"env_kwargs: {words}")
+        try:
+            values[name] = json.loads(_JSON_WORDS.get(value, value))
+        except ValueError:
+            values[name] = value
+    return values
+
+
 @dataclass(frozen=True, kw_only=True)
 class GymnasiumTask:
-    """Which environment, and how it is made.
+    """Id and arguments of `gymnasium.make`, such as `continuous` or `max_episode_steps`.
 
-    Attributes:
-        id: What `gymnasium.make` takes: "CartPole-v1", or "my_module:MyEnv-v0" for one that
-            `my_module` registers.
-        kwargs: Keyword arguments of `gymnasium.make`, such as `continuous` or
-            `max_episode_steps`.
+    The id of an environment that `my_module` registers is "my_module:MyEnv-v0".
     """
 
     id: str
     kwargs: Mapping[str, Any] = field(default_factory=dict)
 
     @staticmethod
-    def parse(task: str, assignments: Sequence[str] = ()) -> GymnasiumTask:
-        """Read "gym:ID" and assignments "name=value".
-
-        A value is read as JSON (`true`, `-5.0`, `"text"`, `null`); what is no JSON is a text.
-
-        Raises:
-            TaskError: If an assignment has no name or no value.
-        """
-        return GymnasiumTask(
-            id=task.removeprefix(PREFIX), kwargs=dict(_assignment(each) for each in assignments)
-        )
+    def parse(task: str, texts: Sequence[str] = ()) -> GymnasiumTask:
+        """Read "gym:ID" and texts as `assignments` reads them."""
+        return GymnasiumTask(id=task.removeprefix(PREFIX), kwargs=assignments(texts))
 
     def make(self, **more: Any) -> gymnasium.Env[Any, Any]:
-        """Make the environment.
-
-        Args:
-            more: Further arguments of `gymnasium.make`.
+        """Make the environment, with further arguments of `gymnasium.make`.
 
         Raises:
-            TaskError: If there is none with that id, something that it needs is not installed, or
-                it refuses its arguments.
+            TaskError: If there is none, something is not installed, or it refuses its arguments.
         """
         kwargs = {"disable_env_checker": True, **self.kwargs, **more}
         try:
@@ -78,17 +78,14 @@ class GymnasiumTask:
         except gymnasium.error.DependencyNotInstalled as error:
             raise TaskError(f"task: {self.id} needs {self._missing(error)}") from error
         except ModuleNotFoundError as error:
-            raise TaskError(
-                f"task: {self.id}: {error}; a module of your own is found if its folder is in "
-                "PYTHONPATH"
-            ) from error
+            words = f"{error}; a module of your own is found if its folder is in PYTHONPATH"
+            raise TaskError(f"task: {self.id}: {words}") from error
         except (gymnasium.error.UnregisteredEnv, gymnasium.error.DeprecatedEnv) as error:
             raise TaskError(f"task: {self._unknown(error)}") from error
         except Exception as error:
-            raise TaskError(
-                f"task: {self.id} cannot be made with {dict(self.kwargs)}: "
-                f"{type(error).__name__}: {error}; see --env-kwargs"
-            ) from error
+            words = f"{type(error).__name__}: {error}; see --env-kwargs"
+            with_what = f"{self.id} cannot be made with {dict(self.kwargs)}"
+            raise TaskError(f"task: {with_what}: {words}") from error
 
     def spec(self) -> EnvSpec:
         """The entry in Gymnasium's registry; the environment must have been made before."""
@@ -96,8 +93,8 @@ class GymnasiumTask:
 
     def _missing(self, error: Exception) -> str:
         entry = str(self.spec().entry_point)
-        for part, extra in _EXTRAS.items():
-            if part in entry:
+        for extra in _EXTRAS:
+            if extra.replace("-", "_") in entry:
                 return f'what pip install "gymnasium[{extra}]" brings ({error})'
         return f"something that is not installed: {error}"
 
@@ -117,41 +114,16 @@ def _family(name: str) -> str:
     return re.sub(r"-v\d+$", "", name).lower()
 
 
-def _assignment(text: str) -> tuple[str, Any]:
-    name, equals, value = text.partition("=")
-    if not name.isidentifier() or not equals:
-        raise TaskError(f"env_kwargs: expected name=value, such as continuous=true; got {text!r}")
-    try:
-        return name, json.loads(
-            {"True": "true", "False": "false", "None": "null"}.get(value, value)
-        )
-    except ValueError:
-        return name, value
-
-
 @dataclass(frozen=True)
 class Interface:
-    """What a network reads and does in an environment.
-
-    Attributes:
-        observation: Its observation space, a Box or Discrete.
-        action: Its action space, a Box or Discrete.
-    """
+    """What a network reads and does in an environment of these spaces."""
 
     observation: spaces.Box | spaces.Discrete
     action: spaces.Box | spaces.Discrete
 
     @staticmethod
     def of(env: Any, name: str) -> Interface:
-        """The interface of an environment.
-
-        Args:
-            env: Has `observation_space` and `action_space`.
-            name: What messages call it.
-
-        Raises:
-            TaskError: If networks cannot read its observations or do its actions.
-        """
+        """The interface of an environment, or a `TaskError` that calls it by its name."""
         _check_observations(env.observation_space, name)
         _check_actions(env.action_space, name)
         return Interface(env.observation_space, env.action_space)
@@ -198,8 +170,7 @@ class Interface:
 def _check_observations(space: Any, name: str) -> None:
     supported = (
         f"supported are Box of at most {MOST_OBSERVATIONS} numbers and Discrete; wrap it, for "
-        "instance with gymnasium.wrappers.FlattenObservation, and register what you wrapped in a "
-        "module of yours: --task gym:my_module:MyEnv-v0"
+        f"instance with gymnasium.wrappers.FlattenObservation, and {_REGISTER}"
     )
     if isinstance(space, spaces.Box):
         if len(space.shape) >= 2 and np.dtype(space.dtype) == np.uint8:
@@ -225,7 +196,4 @@ def _check_actions(space: Any, name: str) -> None:
             f"task: {name} has actions without bounds ({space}); {supported}: give it bounds with "
             "gymnasium.wrappers.TransformAction, and register what you wrapped"
         )
-    raise TaskError(
-        f"task: {name} has the actions {space}; {supported}; wrap it, and register what you "
-        "wrapped in a module of yours: --task gym:my_module:MyEnv-v0"
-    )
+    raise TaskError(f"task: {name} has the actions {space}; {supported}; wrap it, and {_REGISTER}")

@@ -2,8 +2,7 @@
 
 The robots of one cell meet those of the cells around it in a plain loop over contiguous arrays,
 which the compiler turns into vector instructions. The grid follows from the scenario alone, so
-how a number is computed never depends on where robots stand. Few robots share a single cell: for
-them, all pairs are the fastest way.
+how a number is computed never depends on where robots stand. Few robots share a single cell.
 """
 
 from __future__ import annotations
@@ -27,23 +26,16 @@ class Grid(NamedTuple):
 
 
 class Sorted(NamedTuple):
-    """The robots of one arena, sorted by cell.
+    """The robots of one arena, sorted by cell."""
 
-    Attributes:
-        robot: int64 [robots], their numbers.
-        start: int64 [cells + 1]; cell c holds the entries start[c] to start[c + 1] - 1.
-        x: float64 [robots], units; likewise `y`.
-        y: see `x`.
-    """
-
-    robot: np.ndarray
-    start: np.ndarray
-    x: np.ndarray
+    robot: np.ndarray  # int64 [robots], their numbers
+    start: np.ndarray  # int64 [cells + 1]; cell c holds the entries start[c] to start[c + 1] - 1
+    x: np.ndarray  # float64 [robots], units
     y: np.ndarray
 
 
 def grid_of(width: float, height: float, robots: int, least: float) -> Grid:
-    """Return the grid for so many robots on a field, its cells at least `least` units wide."""
+    """The grid for so many robots on a field, its cells at least `least` units wide."""
     side = max(least, math.sqrt(width * height * ROBOTS_PER_CELL / robots))
     columns, rows = max(1, int(width / side)), max(1, int(height / side))
     return Grid(columns, rows, width / columns, height / rows)
@@ -51,15 +43,9 @@ def grid_of(width: float, height: float, robots: int, least: float) -> Grid:
 
 @njit(cache=True)
 def friend_offsets(position: np.ndarray, grid: Grid, reach: float) -> np.ndarray:
-    """Return the way from each robot to the middle of all within reach, itself included.
+    """The way from each robot to the middle of all within reach, itself included.
 
-    Args:
-        position: float64 [arenas, robots, 2], units.
-        grid: with cells at least `reach` wide and high, unless there is only one.
-        reach: units.
-
-    Returns:
-        float64 [arenas, robots, 2], units.
+    All in units, [arenas, robots, 2]; cells, unless there is one, must be at least `reach` wide.
     """
     offsets = np.empty_like(position)
     for arena in range(len(position)):
@@ -67,7 +53,7 @@ def friend_offsets(position: np.ndarray, grid: Grid, reach: float) -> np.ndarray
         for cell in range(grid.columns * grid.rows):
             low, high = crowd.start[cell], crowd.start[cell + 1]
             sums = np.zeros((3, high - low))
-            for column in _columns(cell, 1, grid):
+            for column in _nearby_columns(cell, 1, grid):
                 first, last = _entries(cell, column, 1, grid, crowd)
                 _add_friends(crowd, (low, high), (first, last), reach, sums)
             for entry in range(low, high):
@@ -79,15 +65,7 @@ def friend_offsets(position: np.ndarray, grid: Grid, reach: float) -> np.ndarray
 
 @njit(cache=True)
 def nearest_friend_squared(position: np.ndarray, grid: Grid) -> np.ndarray:
-    """Return squared distances to the nearest friend, infinite for a robot alone.
-
-    Args:
-        position: float64 [arenas, robots, 2], units.
-        grid: any.
-
-    Returns:
-        float64 [arenas, robots].
-    """
+    """Squared distances [arenas, robots] to the nearest friend, infinite for a robot alone."""
     nearest = np.empty(position.shape[:2])
     side = min(grid.cell_width, grid.cell_height)
     for arena in range(len(position)):
@@ -96,7 +74,7 @@ def nearest_friend_squared(position: np.ndarray, grid: Grid) -> np.ndarray:
             low, high = crowd.start[cell], crowd.start[cell + 1]
             best, rings = np.full(high - low, np.inf), 1
             while low < high:
-                for column in _columns(cell, rings, grid):
+                for column in _nearby_columns(cell, rings, grid):
                     first, last = _entries(cell, column, rings, grid, crowd)
                     _approach(crowd, (low, high), (first, last), best)
                 # Whoever was not looked at is further away than so many cells.
@@ -109,15 +87,15 @@ def nearest_friend_squared(position: np.ndarray, grid: Grid) -> np.ndarray:
 
 
 @njit(cache=True)
-def _columns(cell: int, rings: int, grid: Grid) -> range:
-    """Return the columns at most `rings` away from that of a cell."""
+def _nearby_columns(cell: int, rings: int, grid: Grid) -> range:
+    """The columns at most `rings` away from that of a cell."""
     column = cell // grid.rows
     return range(max(column - rings, 0), min(column + rings + 1, grid.columns))
 
 
 @njit(cache=True)
 def _entries(cell: int, column: int, rings: int, grid: Grid, crowd: Sorted) -> tuple[int, int]:
-    """Return the entries of a column whose rows are at most `rings` away from that of a cell."""
+    """The entries of a column whose rows are at most `rings` away from that of a cell."""
     row, bottom = cell % grid.rows, column * grid.rows
     first = bottom + max(row - rings, 0)
     last = bottom + min(row + rings, grid.rows - 1)

@@ -12,25 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 
 LARGEST = 10.0
 """Scaled observations are clipped to [-LARGEST, LARGEST]."""
-_SANE = 1e4
-"""A bound beyond this says nothing of the values that occur."""
-_LEAST_SHARE = 0.2
-"""Of the reach that bounds allow."""
-_STEADY = 1e-6
-"""A standard deviation below this is that of a value that never changed."""
+_SANE = 1e4  # a bound beyond this says nothing of the values that occur
+_LEAST_SHARE = 0.2  # of the reach that bounds allow
+_STEADY = 1e-6  # a standard deviation below this is that of a value that never changed
 
 
 @dataclass(frozen=True)
 class ObservationScaling:
-    """What a network reads: (observation - offset) / scale, clipped, in single precision.
+    """What a network reads: (observation - offset) / scale, clipped, in single precision."""
 
-    Attributes:
-        offset: [observations].
-        scale: [observations], positive.
-    """
-
-    offset: NDArray[np.float64]
-    scale: NDArray[np.float64]
+    offset: NDArray[np.float64]  # [observations]
+    scale: NDArray[np.float64]  # [observations], positive
 
     def __call__(self, observation: NDArray[np.float64]) -> NDArray[np.float32]:
         """Scale observations [..., observations]."""
@@ -39,16 +31,12 @@ class ObservationScaling:
 
     @classmethod
     def fit(cls, space: spaces.Space[Any], seen: ArrayLike) -> Self:
-        """Find the scaling of a space.
+        """The scaling of a space, Box or Discrete, in which [times, observations] were seen.
 
         Entries of a Box with sane bounds are measured from the middle between them, in units of how
         far they were seen to go, but at least of a fifth of how far they may go: some environments
         state bounds that nothing ever reaches. Other entries get mean 0 and standard deviation 1
         over what was seen. The ones and zeros of a Discrete space stay.
-
-        Args:
-            space: The observation space, Box or Discrete.
-            seen: Observations [times, observations].
         """
         seen = np.asarray(seen, np.float64)
         offset, scale = np.zeros(seen.shape[1]), np.ones(seen.shape[1])

@@ -22,10 +22,8 @@ from neatq_envs.walls import Wall
 # What robots of one Space cost when heaped up grows with the square of their number, even if
 # they pass through each other; those that do not meet may be dealt into several Spaces.
 ROBOTS_PER_SPACE = 25
-BORDER_THICKNESS = 60.0
-COLLISION_BIAS = 0.9
-_ROBOT = 0b01
-_WALL = 0b10
+BORDER_THICKNESS, COLLISION_BIAS = 60.0, 0.9
+_ROBOT_BIT, _WALL_BIT = 0b01, 0b10
 # Getting may write past the last row when a buffer is exactly full.
 _SPARE_ROWS = 2
 _FORCE = batch.BodyFields.FORCE
@@ -36,10 +34,9 @@ _AHEAD = np.array([[1.0, 0.0]])
 class Room:
     """One Space: the walls of the field and some robots in it.
 
-    pymunk's batch functions read and write all bodies of a Space at once. They know no bounds:
-    their rows are all dynamic bodies in the order in which they were added, then the static
-    body, so no body is ever removed from a Space in use. A `batch.Buffer` is never freed, so
-    each is kept for ever.
+    pymunk's batch functions read and write all bodies of a Space at once, without bounds: their
+    rows are all dynamic bodies in the order in which they were added, then the static body, so no
+    body is ever removed from a Space in use. A `batch.Buffer` is never freed, so each is kept.
 
     Args:
         scenario: gives the walls and the size of robots.
@@ -95,18 +92,15 @@ class Physics:
         robots = scenario.robots
         rooms = 1 if scenario.collide else math.ceil(robots / ROBOTS_PER_SPACE)
         self._size = math.ceil(robots / rooms)
-        self._blocks = [
-            slice(start, min(start + self._size, robots)) for start in range(0, robots, self._size)
-        ]
+        starts = range(0, robots, self._size)
+        self._blocks = [slice(start, min(start + self._size, robots)) for start in starts]
         rows = self._size + 1 + _SPARE_ROWS
         self._force = np.zeros((arenas, rooms, rows, 2))
         self._motion = np.zeros((arenas, rooms, rows, 4))
+        crowds = [block.stop - block.start for block in self._blocks]
         self.rooms = [
-            [
-                Room(scenario, block.stop - block.start, self._force[a, r], self._motion[a, r])
-                for r, block in enumerate(self._blocks)
-            ]
-            for a in range(arenas)
+            [Room(scenario, crowd, *both) for crowd, *both in zip(crowds, *buffers, strict=True)]
+            for buffers in zip(self._force, self._motion, strict=True)
         ]
         self._barriers = barriers(scenario.walls, scenario.width, scenario.height, BORDER_INSET)
         self._hold(np.zeros((arenas, robots, 2)), np.zeros((arenas, robots, 2)))
@@ -114,15 +108,9 @@ class Physics:
     def rebuild(
         self, place: np.ndarray, velocity: np.ndarray, arenas: np.ndarray | None = None
     ) -> None:
-        """Build Spaces anew from arrays [arenas, robots, 2].
+        """Build the Spaces of `arenas`, bool [arenas], anew from arrays [arenas, robots, 2].
 
-        A Space also holds contacts that no array shows. Two runs continue alike from the same
-        arrays only if both build their Spaces anew at that moment.
-
-        Args:
-            place: units.
-            velocity: units per tick.
-            arenas: bool [arenas], those to build; the rows of all others must be as they are.
+        The rows of all others must be as they are; see `Arena.rebuild`.
         """
         self._hold(place.copy(), velocity.copy())
         for arena in range(len(self.rooms)) if arenas is None else np.flatnonzero(arenas):
@@ -163,14 +151,7 @@ class Physics:
 
 @njit(cache=True)
 def _write_forces(force: np.ndarray, size: int, wished: np.ndarray, velocity: np.ndarray) -> None:
-    """Write the forces that change velocities [arenas, robots, 2] into the wished ones.
-
-    Args:
-        force: float64 [arenas, rooms, rows, 2].
-        size: robots in a room.
-        wished: float64 [arenas, robots, 2], units per tick.
-        velocity: likewise.
-    """
+    """Write forces [arenas, rooms, rows, 2] that change velocities [arenas, robots, 2]."""
     for arena in range(len(wished)):
         for robot in range(len(wished[arena])):
             for axis in range(2):  # mass 1, step 1: force = change of velocity
@@ -180,7 +161,7 @@ def _write_forces(force: np.ndarray, size: int, wished: np.ndarray, velocity: np
 
 @njit(cache=True)
 def _read_motion(motion: np.ndarray, size: int, robots: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return places and velocities, float64 [arenas, robots, 2], of [arenas, rooms, rows, 4]."""
+    """Places and velocities, float64 [arenas, robots, 2], of [arenas, rooms, rows, 4]."""
     place, velocity = np.empty((len(motion), robots, 2)), np.empty((len(motion), robots, 2))
     for arena in range(len(motion)):
         for robot in range(robots):
@@ -193,37 +174,28 @@ def _read_motion(motion: np.ndarray, size: int, robots: int) -> tuple[np.ndarray
 def _circle(body: pymunk.Body, scenario: Scenario) -> pymunk.Circle:
     circle = pymunk.Circle(body, scenario.robot_radius)
     circle.friction = 0.0
-    mask = _WALL | _ROBOT if scenario.collide else _WALL
-    circle.filter = pymunk.ShapeFilter(categories=_ROBOT, mask=mask)
+    mask = _WALL_BIT | _ROBOT_BIT if scenario.collide else _WALL_BIT
+    circle.filter = pymunk.ShapeFilter(categories=_ROBOT_BIT, mask=mask)
     return circle
 
 
 def wall_box(body: pymunk.Body, wall: Wall) -> pymunk.Poly:
-    """Return the shape of a wall on a static body."""
-    turn = pymunk.Transform(
-        a=math.cos(wall.angle_rad),
-        b=math.sin(wall.angle_rad),
-        c=-math.sin(wall.angle_rad),
-        d=math.cos(wall.angle_rad),
-        tx=wall.x,
-        ty=wall.y,
-    )
+    """The shape of a wall on a static body."""
+    cosine, sine = math.cos(wall.angle_rad), math.sin(wall.angle_rad)
+    turn = pymunk.Transform(cosine, sine, -sine, cosine, wall.x, wall.y)
     half_x, half_y = wall.width / 2, wall.height / 2
     corners = [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
     shape = pymunk.Poly(body, corners, transform=turn)
     shape.friction = 0.0
-    shape.filter = pymunk.ShapeFilter(categories=_WALL)
+    shape.filter = pymunk.ShapeFilter(categories=_WALL_BIT)
     return shape
 
 
 def border_walls(scenario: Scenario) -> tuple[Wall, ...]:
-    """Return four walls whose inner faces lie `BORDER_INSET` inside the edges of the field."""
+    """Four walls whose inner faces lie `BORDER_INSET` inside the edges of the field."""
     width, height, thick = scenario.width, scenario.height, BORDER_THICKNESS
     off = thick / 2 - BORDER_INSET
     long_x, long_y = width + 2 * thick, height + 2 * thick
-    return (
-        Wall(x=-off, y=height / 2, width=thick, height=long_y),
-        Wall(x=width + off, y=height / 2, width=thick, height=long_y),
-        Wall(x=width / 2, y=-off, width=long_x, height=thick),
-        Wall(x=width / 2, y=height + off, width=long_x, height=thick),
-    )
+    sides = [Wall(x=x, y=height / 2, width=thick, height=long_y) for x in (-off, width + off)]
+    ends = [Wall(x=width / 2, y=y, width=long_x, height=thick) for y in (-off, height + off)]
+    return (*sides, *ends)

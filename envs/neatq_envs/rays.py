@@ -13,34 +13,25 @@ from neatq_envs.walls import Wall
 
 
 class Barriers(NamedTuple):
-    """All that stops a ray.
+    """All that stops a ray, in units.
 
-    Attributes:
-        boxes: float64 [walls, 7]: centre x and y, cosine and sine of the turn, half the width,
-            half the height, half the diagonal.
-        low: the least x and y inside the border walls, units.
-        high_x: the greatest x inside the border walls, units; likewise `high_y`.
-        high_y: see `high_x`.
+    `boxes`, float64 [walls, 7], hold centre x and y, cosine and sine of the turn, half the width,
+    half the height, half the diagonal.
     """
 
     boxes: np.ndarray
-    low: float
+    low: float  # the least x and y inside the border walls
     high_x: float
     high_y: float
 
 
 def barriers(walls: Iterable[Wall], width: float, height: float, inset: float) -> Barriers:
-    """Return the walls of a field whose border walls begin `inset` units inside its edges."""
+    """The walls of a field whose border walls begin `inset` units inside its edges."""
     boxes = [
-        (
-            wall.x,
-            wall.y,
-            math.cos(wall.angle_rad),
-            math.sin(wall.angle_rad),
-            wall.width / 2,
-            wall.height / 2,
-            math.hypot(wall.width, wall.height) / 2,
-        )
+        [
+            *(wall.x, wall.y, math.cos(wall.angle_rad), math.sin(wall.angle_rad)),
+            *(wall.width / 2, wall.height / 2, math.hypot(wall.width, wall.height) / 2),
+        ]
         for wall in walls
     ]
     return Barriers(np.array(boxes).reshape(-1, 7), inset, width - inset, height - inset)
@@ -50,7 +41,9 @@ def barriers(walls: Iterable[Wall], width: float, height: float, inset: float) -
 def ray_distances(
     position: np.ndarray, ahead: np.ndarray, turns: np.ndarray, reach: float, barriers: Barriers
 ) -> np.ndarray:
-    """Return how far along each ray the first barrier is met; infinite if it is not.
+    """How far along each ray the first barrier is met, float64 [arenas, robots, rays].
+
+    Infinite if none is, 0 from inside a box.
 
     Args:
         position: where the rays start, float64 [arenas, robots, 2], units.
@@ -58,9 +51,6 @@ def ray_distances(
         turns: cosine and sine of the angle from `ahead` to each ray, float64 [rays, 2].
         reach: barriers further away than that, in the same unit, need not be found.
         barriers: the field and its walls.
-
-    Returns:
-        float64 [arenas, robots, rays]; 0 from inside a box.
     """
     low, high_x, high_y, boxes = barriers.low, barriers.high_x, barriers.high_y, barriers.boxes
     arenas, robots, _ = position.shape
@@ -95,14 +85,14 @@ def _turned(x: float, y: float, turns: np.ndarray, ray: int) -> tuple[float, flo
 
 @njit(cache=True)
 def _exit(place: float, ray: float, low: float, high: float) -> float:
-    """Return how far along a ray the slab low..high is left."""
+    """How far along a ray the slab low..high is left."""
     gap = high - place if ray > 0 else place - low
     return max(gap, 0.0) / max(abs(ray), 1e-12)
 
 
 @njit(cache=True)
 def _box_distance(dx: float, dy: float, ray_x: float, ray_y: float, box: np.ndarray) -> float:
-    """Return how far along a ray, (dx, dy) from its centre on, a box is met (Kay & Kajiya 1986)."""
+    """How far along a ray, (dx, dy) from its centre on, a box is met (Kay & Kajiya 1986)."""
     cosine, sine = box[2], box[3]
     enter, leave = _slab(cosine * dx + sine * dy, cosine * ray_x + sine * ray_y, box[4])
     near, far = _slab(cosine * dy - sine * dx, cosine * ray_y - sine * ray_x, box[5])
@@ -112,7 +102,7 @@ def _box_distance(dx: float, dy: float, ray_x: float, ray_y: float, box: np.ndar
 
 @njit(cache=True)
 def _slab(place: float, ray: float, half: float) -> tuple[float, float]:
-    """Return where a ray enters and leaves the slab -half..half."""
+    """Where a ray enters and leaves the slab -half..half."""
     # A ray along the slab never crosses it: a tiny component puts the crossings far away.
     inverse = 1.0 / (1e-12 if abs(ray) < 1e-12 else ray)
     centre, reach = -place * inverse, half * abs(inverse)

@@ -19,7 +19,7 @@ from neatq_envs.scenario import BORDER_INSET, Scenario, Spawn
 from neatq_envs.walls import Wall, box_distance
 
 GROUND, WALL, SPAWN = (248, 247, 242), (70, 74, 82), (226, 232, 240)
-ROBOT, CHAMPION, FLAG = (86, 133, 190), (240, 140, 0), (205, 38, 38)
+ROBOT, CHAMPION_RGB, FLAG = (86, 133, 190), (240, 140, 0), (205, 38, 38)
 TICK = (20, 30, 50)
 
 
@@ -32,7 +32,7 @@ def frame(
     highlight: int | None = None,
     size: int = 400,
 ) -> np.ndarray:
-    """Draw one arena; y points up.
+    """Draw one arena, uint8 [height, width, 3]; y points up.
 
     Args:
         scenario: gives field, walls and spawns.
@@ -41,9 +41,6 @@ def frame(
         flag: [2] in units; of two flags the one that counts, the other is drawn hollow.
         highlight: a robot to draw in another colour and on top, such as the champion.
         size: pixels of the longer side.
-
-    Returns:
-        uint8 [height, width, 3].
     """
     canvas = _background(scenario.width, scenario.height, scenario.walls, scenario.spawns, size)
     canvas = canvas.copy()
@@ -52,20 +49,18 @@ def frame(
     column = position[:, 0] * scale
     radius = max(3.0, scenario.robot_radius * scale)
     order = [robot for robot in range(len(position)) if robot != highlight]
-    _stamp(canvas, row[order], column[order], _disc(radius), ROBOT)
-    _ticks(canvas, row[order], column[order], heading_rad[order], radius)
+    _draw_robots(canvas, row[order], column[order], heading_rad[order], radius, ROBOT)
     for x, y in _idle_flags(scenario, flag):
         _draw_flag(canvas, canvas.shape[0] - y * scale, x * scale, size, hollow=True)
     _draw_flag(canvas, canvas.shape[0] - flag[1] * scale, flag[0] * scale, size)
     if highlight is not None:
         top = slice(highlight, highlight + 1)
-        _stamp(canvas, row[top], column[top], _disc(radius + 1.5), CHAMPION)
-        _ticks(canvas, row[top], column[top], heading_rad[top], radius + 1.5)
+        _draw_robots(canvas, row[top], column[top], heading_rad[top], radius + 1.5, CHAMPION_RGB)
     return canvas
 
 
 def animation(frames: Sequence[np.ndarray], fps: float = 20.0) -> bytes:
-    """Return frames, uint8 [height, width, 3] each, as the content of an endless GIF file."""
+    """Frames, uint8 [height, width, 3] each, as the content of an endless GIF file."""
     if not len(frames):
         raise ValueError("frames: expected at least one, got none")
     if not fps > 0:
@@ -97,27 +92,25 @@ def draw_paths(
     figure = Figure(figsize=(7.4, 6.0 * scenario.height / scenario.width + 1.0), layout="tight")
     axes = figure.add_subplot()
     _draw_field(axes, scenario)
-    handles: list[Artist] = [
-        Rectangle((0, 0), 1, 1, color=_unit(WALL), label="wall"),
-        Rectangle((0, 0), 1, 1, fc="#c3cedd", ec="black", label="starting area"),
-    ]
-    lines = LineCollection([], cmap="viridis", linewidths=0.7, alpha=0.65)
+    wall = Rectangle((0, 0), 1, 1, color=_rgb(WALL), label="wall")
+    area = Rectangle((0, 0), 1, 1, fc="#c3cedd", ec="black", label="starting area")
+    handles: list[Artist] = [wall, area]
     segments, ticks = _last_lives(scenario, poses)
-    lines.set_segments(list(segments))
+    lines = LineCollection(list(segments), cmap="viridis", linewidths=0.7, alpha=0.65)
     lines.set_array(ticks)
     axes.add_collection(lines)
     figure.colorbar(lines, ax=axes, label="ticks since the life began", shrink=0.85)
-    axes.plot(poses[-1, :, 0], poses[-1, :, 1], ".", color=_unit(TICK), ms=4, zorder=4)
-    handles.append(Line2D([], [], marker=".", ls="", color=_unit(TICK), label="robot at the end"))
+    axes.plot(poses[-1, :, 0], poses[-1, :, 1], ".", color=_rgb(TICK), ms=4, zorder=4)
+    handles.append(Line2D([], [], marker=".", ls="", color=_rgb(TICK), label="robot at the end"))
     if highlight is not None:
         way = _last_life(scenario, poses[:, highlight, :2])
-        axes.plot(way[:, 0], way[:, 1], color=_unit(CHAMPION), lw=2.5, zorder=5)
-        axes.plot(*way[-1], "o", color=_unit(CHAMPION), mec="black", ms=7, zorder=6)
-        handles.append(Line2D([], [], color=_unit(CHAMPION), lw=2.5, label=highlight_label))
-    axes.plot(flag[0], flag[1], "*", color=_unit(FLAG), mec="black", ms=16, zorder=7)
-    handles.append(Line2D([], [], marker="*", ls="", color=_unit(FLAG), ms=12, label="flag"))
+        axes.plot(way[:, 0], way[:, 1], color=_rgb(CHAMPION_RGB), lw=2.5, zorder=5)
+        axes.plot(*way[-1], "o", color=_rgb(CHAMPION_RGB), mec="black", ms=7, zorder=6)
+        handles.append(Line2D([], [], color=_rgb(CHAMPION_RGB), lw=2.5, label=highlight_label))
+    axes.plot(flag[0], flag[1], "*", color=_rgb(FLAG), mec="black", ms=16, zorder=7)
+    handles.append(Line2D([], [], marker="*", ls="", color=_rgb(FLAG), ms=12, label="flag"))
     for x, y in _idle_flags(scenario, flag):
-        star = {"marker": "*", "ls": "", "mfc": "white", "mec": _unit(FLAG)}
+        star = {"marker": "*", "ls": "", "mfc": "white", "mec": _rgb(FLAG)}
         axes.plot(x, y, **star, ms=16, zorder=7)
         handles.append(Line2D([], [], **star, ms=12, label="flag that does not count"))
     axes.set_title(f'Last life of {poses.shape[1]} robots, task "{scenario.name}"')
@@ -128,28 +121,22 @@ def draw_paths(
 
 def _draw_field(axes: Axes, scenario: Scenario) -> None:
     axes.set(xlim=(0, scenario.width), ylim=(0, scenario.height), aspect="equal")
-    axes.set(xlabel="x (units)", ylabel="y (units)", facecolor=_unit(GROUND))
+    axes.set(xlabel="x (units)", ylabel="y (units)", facecolor=_rgb(GROUND))
     for spine in axes.spines.values():
-        spine.set(linewidth=2.5, color=_unit(WALL))
+        spine.set(linewidth=2.5, color=_rgb(WALL))
     for spawn in scenario.spawns:
         reach = max(spawn.jitter, 1)
         corner = (spawn.x - reach, spawn.y - reach)
         axes.add_patch(Rectangle(corner, 2 * reach, 2 * reach, fc="#c3cedd", ec="black", zorder=2))
     for wall in scenario.walls:
-        box = Rectangle(
-            (wall.x - wall.width / 2, wall.y - wall.height / 2),
-            wall.width,
-            wall.height,
-            angle=float(np.degrees(wall.angle_rad)),
-            rotation_point="center",
-            color=_unit(WALL),
-            zorder=3,
-        )
+        corner = wall.x - wall.width / 2, wall.y - wall.height / 2
+        box = Rectangle(corner, wall.width, wall.height, rotation_point="center")
+        box.set(angle=float(np.degrees(wall.angle_rad)), color=_rgb(WALL), zorder=3)
         axes.add_patch(box)
 
 
 def _last_lives(scenario: Scenario, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return all segments [segments, 2, 2] of the last lives and the tick of each."""
+    """All segments [segments, 2, 2] of the last lives and the tick of each."""
     segments, ticks = [np.zeros((0, 2, 2))], [np.zeros(0)]
     for robot in range(poses.shape[1]):
         way = _last_life(scenario, poses[:, robot, :2])
@@ -159,7 +146,7 @@ def _last_lives(scenario: Scenario, poses: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _last_life(scenario: Scenario, way: np.ndarray) -> np.ndarray:
-    """Return the part [ticks, 2] of a way after its last jump: a robot moves by its speed."""
+    """The part [ticks, 2] of a way after its last jump: a robot moves by its speed."""
     jumps = np.hypot(*np.diff(way, axis=0).T) > scenario.max_speed + scenario.robot_radius
     start = int(np.flatnonzero(jumps)[-1]) + 1 if jumps.any() else 0
     return way[start:]
@@ -188,7 +175,7 @@ def _background(
 
 @lru_cache(maxsize=8)
 def _disc(radius: float) -> np.ndarray:
-    """Return the offsets [pixels, 2] of a disc."""
+    """The offsets [pixels, 2] of a disc."""
     reach = int(np.ceil(radius))
     grid = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
     return grid[(grid**2).sum(1) <= radius * (radius + 0.7)]
@@ -207,17 +194,23 @@ def _stamp(
     canvas[rows[seen], columns[seen]] = colour
 
 
-def _ticks(
-    canvas: np.ndarray, row: np.ndarray, column: np.ndarray, heading_rad: np.ndarray, radius: float
+def _draw_robots(
+    canvas: np.ndarray,
+    row: np.ndarray,
+    column: np.ndarray,
+    heading_rad: np.ndarray,
+    radius: float,
+    colour: tuple[int, int, int],
 ) -> None:
-    """Draw a tick from the middle of each robot beyond its rim along its heading."""
+    """Draw discs, and a tick from the middle of each beyond its rim along its heading."""
+    _stamp(canvas, row, column, _disc(radius), colour)
     for step in np.arange(0.0, radius + 2.5, 0.5):
         ahead_row, ahead_column = row - step * np.sin(heading_rad), step * np.cos(heading_rad)
         _stamp(canvas, ahead_row, column + ahead_column, _disc(0.0), TICK)
 
 
 def _idle_flags(scenario: Scenario, flag: np.ndarray) -> list[tuple[float, float]]:
-    """Return the places of the flags that stand but do not count; `flag` is the one that does."""
+    """The places of the flags that stand but do not count; `flag` is the one that does."""
     places = scenario.flag.positions if scenario.flag.switch_ticks else ()
     return [place for place in places if not np.allclose(place, flag)]
 
@@ -232,11 +225,9 @@ def _draw_flag(
     cloth = [(d, s) for d in range(-half, half + 1) for s in range(2 * (half - abs(d)) + 1)]
     if hollow:
         cloth = [(d, s) for d, s in cloth if s == 0 or s > 2 * (half - abs(d)) - 2]
-    at_row, at_column = np.array([row]), np.array([column])
-    _stamp(canvas, at_row, at_column, pole, TICK)
-    _stamp(canvas, at_row - tall + half, at_column + 2, np.array(cloth), FLAG)
+    _stamp(canvas, np.array([row]), np.array([column]), pole, TICK)
+    _stamp(canvas, np.array([row]) - tall + half, np.array([column]) + 2, np.array(cloth), FLAG)
 
 
-def _unit(colour: tuple[int, int, int]) -> tuple[float, float, float]:
-    red, green, blue = colour
-    return red / 255, green / 255, blue / 255
+def _rgb(colour: tuple[int, int, int]) -> tuple[float, float, float]:
+    return colour[0] / 255, colour[1] / 255, colour[2] / 255

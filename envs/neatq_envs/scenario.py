@@ -1,7 +1,6 @@
 """What a world is made of: field, walls, spawn points, flag and reward.
 
-A scenario is frozen data. A user writes one as a JSON file; what is left out comes from the
-task "flag":
+A user writes a scenario as a JSON file; what is left out comes from the task "flag":
 
     {
       "name": "two walls",
@@ -14,11 +13,11 @@ task "flag":
     }
 
 The geometry of the tasks "flag", "moving" and "wall" is that of the OpenNERO source code
-(mods/NERO, 2014). Three more are there to tell ways of learning apart:
+(mods/NERO, 2014). Three more tell ways of learning apart:
 
 * "trap": a pocket between spawn and flag, open towards the spawn. Who runs straight to the flag
   ends 139 units from it, and must go back to 266, as far as the spawn, before a way leads around.
-* "maze": the hard maze of Lehman & Stanley (2011); see `neatq_envs.hard_maze`. The straight way
+* "maze": the hard maze of Lehman & Stanley (2011); see `neatq_envs.walls`. The straight way
   ends in the first room, 138 units from the flag. Its door leads away from the flag, to 189, and
   on into a dead end at 87, from which the way leads back to 127.
 * "switch": two flags that are always seen, 200 units apart, as far from the spawn as that of
@@ -45,28 +44,47 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from neatq_envs.checks import (
     ScenarioError,
     is_number,
-    require_choice,
-    require_finite,
-    require_whole,
+    read_list,
+    require,
+    require_fields,
+    require_keys,
+    require_known,
 )
-from neatq_envs.hard_maze import GOAL, START, hard_maze
-from neatq_envs.places import FlagSchedule, Spawn
-from neatq_envs.walls import Wall, box_distance
+from neatq_envs.flags import FlagSchedule
+from neatq_envs.walls import MAZE_GOAL, MAZE_START, Wall, box_distance, hard_maze
 
 REWARD_DIMENSIONS: tuple[str, ...] = ("stand_ground", "stick_together", "approach_flag")
-REWARD_LAWS: tuple[str, ...] = ("published", "bounded", "progress")
+REWARD_LAWS: tuple[str, ...] = ("published", "progress")
 SENSOR_SETS: tuple[str, ...] = ("arena", "opennero")
 BORDER_INSET = 2.0
 """Distance in units from the edge of the field to the inner face of its border wall."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spawn:
+    """Where lives begin: (x, y) plus a whole number from -jitter to jitter - 1 on each axis."""
+
+    x: float
+    y: float
+    jitter: int = 20
+
+    def __post_init__(self) -> None:
+        require_fields(Spawn, vars(self), "spawn")
+
+    def offsets(self) -> np.ndarray:
+        """Every offset of one axis that a robot may get."""
+        return np.arange(-self.jitter, max(self.jitter, 1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +100,7 @@ class Scenario:
         spawns: robot i begins its lives at spawn i modulo their number.
         flag: where the flag stands and when it moves, or two flags of which one counts.
         sensors: "arena" or "opennero"; see `neatq_envs.sensors`.
-        reward: "published", "bounded" or "progress"; see `neatq_envs.rewards`.
+        reward: "published" or "progress"; see `neatq_envs.rewards`.
         reward_weights: weight of each reward dimension; those left out are 0.
         lifetime_ticks: after so many ticks a life is truncated; 0 = lives have no limit.
         max_speed: units per tick, forwards or backwards; at most `robot_radius`.
@@ -111,181 +129,183 @@ class Scenario:
         object.__setattr__(self, "walls", tuple(self.walls))
         object.__setattr__(self, "spawns", tuple(self.spawns))
         object.__setattr__(self, "reward_weights", dict(self.reward_weights))
-        require_finite(self, "scenario")
-        require_whole("scenario", "robots", self.robots, minimum=1)
-        require_whole("scenario", "lifetime_ticks", self.lifetime_ticks, minimum=0)
-        require_choice("sensors", self.sensors, SENSOR_SETS)
-        require_choice("reward", self.reward, REWARD_LAWS)
+        require_fields(Scenario, vars(self), "scenario", robots=1)
+        require_known("sensors", self.sensors, SENSOR_SETS)
+        require_known("reward", self.reward, REWARD_LAWS)
         self._check_motion()
         self._check_weights()
         self._check_spawns()
         self._check_flag()
 
     def weights(self) -> np.ndarray:
-        """Return reward weights, float64 [dimensions], in the order of `REWARD_DIMENSIONS`."""
+        """Reward weights, float64 [dimensions], in the order of `REWARD_DIMENSIONS`."""
         return np.array([self.reward_weights.get(name, 0.0) for name in REWARD_DIMENSIONS])
 
     def replaced(self, **changes: Any) -> Scenario:
-        """Return a copy with `changes`, checked again."""
-        return Scenario(
-            **({entry.name: getattr(self, entry.name) for entry in fields(self)} | changes)
-        )
+        """A copy with `changes`, checked again."""
+        return replace(self, **changes)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return JSON values that `from_dict` reads back as an equal scenario."""
-        values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        values["walls"] = [asdict(wall) for wall in self.walls]
-        values["spawns"] = [asdict(spawn) for spawn in self.spawns]
-        values["flag"] = json.loads(json.dumps(asdict(self.flag)))
-        values["reward_weights"] = dict(self.reward_weights)
-        return values
+        """JSON values that `from_dict` reads back as an equal scenario."""
+        return json.loads(json.dumps(asdict(self)))
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any], defaults: Scenario | None = None) -> Scenario:
-        """Make a scenario of JSON values; keys left out come from `defaults` (task "flag").
+    def from_dict(cls, values: Mapping[str, Any]) -> Scenario:
+        """Make a scenario of JSON values; keys left out come from the task "flag".
 
-        Raises:
-            ScenarioError: naming the key that is unknown, of a wrong type or impossible.
+        A `ScenarioError` names the key that is unknown, of a wrong type or impossible.
         """
-        from neatq_envs.scenario_file import parse_scenario
-
-        return parse_scenario(values, TASKS["flag"] if defaults is None else defaults)
+        return TASKS["flag"].replaced(**_read_scenario(values))
 
     def _check_motion(self) -> None:
         for name in ("width", "height", "max_speed", "robot_radius"):
-            if getattr(self, name) <= 0:
-                raise ScenarioError(f"{name}: must be greater than 0, got {getattr(self, name)}")
-        if not 0 <= self.max_turn_rad <= math.pi:
-            raise ScenarioError(f"max_turn_rad: must lie in 0..pi, got {self.max_turn_rad}")
-        if self.max_speed > self.robot_radius:
-            raise ScenarioError(
-                f"max_speed {self.max_speed} is greater than robot_radius {self.robot_radius}: "
-                "a robot could pass through a wall within one tick; lower the speed"
-            )
+            value = getattr(self, name)
+            require(value > 0, f"{name}: must be greater than 0, got {value}")
+        turn = self.max_turn_rad
+        require(0 <= turn <= math.pi, f"max_turn_rad: must lie in 0..pi, got {turn}")
+        require(
+            self.max_speed <= self.robot_radius,
+            f"max_speed {self.max_speed} is greater than robot_radius {self.robot_radius}: "
+            "a robot could pass through a wall within one tick; lower the speed",
+        )
 
     def _check_weights(self) -> None:
         for name, weight in self.reward_weights.items():
-            require_choice("reward_weights", name, REWARD_DIMENSIONS)
-            if not is_number(weight) or not math.isfinite(weight):
-                raise ScenarioError(f"reward_weights.{name}: expected a number, got {weight!r}")
-        weights = dict(zip(REWARD_DIMENSIONS, self.weights().tolist(), strict=True))
-        if not any(weights.values()):
-            raise ScenarioError("reward_weights: all are 0; give at least one that is not")
-        if self.reward == "progress" and (
-            not weights.pop("approach_flag") or any(weights.values())
-        ):
-            raise ScenarioError(
-                'reward "progress" measures the way to the flag alone: give "approach_flag" the '
-                "only reward weight that is not 0"
-            )
+            require_known("reward_weights", name, REWARD_DIMENSIONS)
+            words = f"reward_weights.{name}: expected a number, got {weight!r}"
+            require(is_number(weight) and math.isfinite(weight), words)
+        given = [name for name, weight in self.reward_weights.items() if weight]
+        require(bool(given), "reward_weights: all are 0; give at least one that is not")
+        require(
+            self.reward != "progress" or given == ["approach_flag"],
+            'reward "progress" measures the way to the flag alone: give "approach_flag" the '
+            "only reward weight that is not 0",
+        )
 
     def _check_spawns(self) -> None:
-        if not self.spawns:
-            raise ScenarioError("spawns: expected at least one spawn, got none")
+        require(bool(self.spawns), "spawns: expected at least one spawn, got none")
         margin = BORDER_INSET + self.robot_radius
         for number, spawn in enumerate(self.spawns):
             xs, ys = spawn.x + spawn.offsets(), spawn.y + spawn.offsets()
             where = f"spawns[{number}] at ({spawn.x}, {spawn.y}) with jitter {spawn.jitter}"
-            if not _inside(xs, ys, (self.width, self.height), margin):
-                raise ScenarioError(
-                    f"{where}: a robot of radius {self.robot_radius} would touch the border; keep "
-                    f"x within {margin:g}..{self.width - margin:g} and y within "
-                    f"{margin:g}..{self.height - margin:g}, jitter included"
-                )
+            low, right, top = min(xs.min(), ys.min()), xs.max(), ys.max()
+            require(
+                low >= margin and right <= self.width - margin and top <= self.height - margin,
+                f"{where}: a robot of radius {self.robot_radius} would touch the border; keep "
+                f"x within {margin:g}..{self.width - margin:g} and y within "
+                f"{margin:g}..{self.height - margin:g}, jitter included",
+            )
             for index, wall in enumerate(self.walls):
-                if (box_distance(xs[:, None], ys[None, :], wall) < self.robot_radius).any():
-                    raise ScenarioError(
-                        f"{where}: a robot of radius {self.robot_radius} would begin inside "
-                        f"walls[{index}]; move the spawn or the wall, or lower the jitter"
-                    )
+                room = box_distance(xs[:, None], ys[None, :], wall)
+                require(
+                    not (room < self.robot_radius).any(),
+                    f"{where}: a robot of radius {self.robot_radius} would begin inside "
+                    f"walls[{index}]; move the spawn or the wall, or lower the jitter",
+                )
 
     def _check_flag(self) -> None:
         for number, (x, y) in enumerate(self.flag.positions):
-            if not (0 <= x <= self.width and 0 <= y <= self.height):
-                raise ScenarioError(
-                    f"flag.positions[{number}] ({x}, {y}) is outside the field of "
-                    f"{self.width} x {self.height}"
-                )
-            if self.in_wall(x, y):
-                raise ScenarioError(
-                    f"flag.positions[{number}] ({x}, {y}) is inside a wall; move it"
-                )
+            where = f"flag.positions[{number}] ({x}, {y})"
+            inside = 0 <= x <= self.width and 0 <= y <= self.height
+            require(inside, f"{where} is outside the field of {self.width} x {self.height}")
+            require(not self.in_wall(x, y), f"{where} is inside a wall; move it")
         if self.flag.ring is not None:
             self._check_ring(self.flag.ring)
 
     def _check_ring(self, ring: tuple[float, float]) -> None:
         spawn, (least, greatest) = self.spawns[0], ring
         room = min(spawn.x, spawn.y, self.width - spawn.x, self.height - spawn.y)
-        if greatest > room:
-            raise ScenarioError(
-                f"flag.ring: the greatest radius {greatest} leaves the field; round the first "
-                f"spawn there is room for {room:g}"
-            )
+        require(
+            greatest <= room,
+            f"flag.ring: the greatest radius {greatest} leaves the field; round the first "
+            f"spawn there is room for {room:g}",
+        )
         # The flag is drawn again where it falls into a wall: a tenth of the ring must be free.
         radius, angle = np.meshgrid(np.linspace(least, greatest, 9), np.linspace(0, 2 * np.pi, 73))
-        blocked = np.zeros(radius.shape, dtype=bool)
-        for wall in self.walls:
-            x, y = spawn.x + radius * np.cos(angle), spawn.y + radius * np.sin(angle)
-            blocked |= box_distance(x, y, wall) <= 0
-        if blocked.mean() > 0.9:
-            raise ScenarioError("flag.ring: nearly all of the ring is inside walls; move them")
+        x, y = spawn.x + radius * np.cos(angle), spawn.y + radius * np.sin(angle)
+        words = "flag.ring: nearly all of the ring is inside walls; move them"
+        require(self.in_wall(x, y).mean() <= 0.9, words)
 
-    def in_wall(self, x: float, y: float) -> bool:
-        """Return whether a point lies in a wall."""
-        return any(bool(box_distance(np.array(x), np.array(y), wall) <= 0) for wall in self.walls)
+    def in_wall(self, x: ArrayLike, y: ArrayLike) -> np.ndarray:
+        """Whether points lie in a wall, of the shape of `x` and `y`; just false without walls."""
+        x, y = np.asarray(x), np.asarray(y)
+        return np.any([box_distance(x, y, wall) <= 0 for wall in self.walls], axis=0)
 
 
-def load_scenario(path: Path | str, defaults: Scenario | None = None) -> Scenario:
-    """Read a scenario from a JSON file (see the example at the top of this module).
+Source = Scenario | Mapping[str, Any] | Path | str
+"""A task's name, the path of a JSON file, the content of one, or a scenario."""
+
+
+def find_scenario(
+    source: Source,
+    *,
+    defaults: Mapping[str, Any] = MappingProxyType({}),
+    changes: Mapping[str, Any] = MappingProxyType({}),
+) -> Scenario:
+    """The scenario that somebody means.
 
     Args:
-        path: the file.
-        defaults: gives the keys that the file leaves out; task "flag" by default.
+        source: see `Source`.
+        defaults: JSON values that a file or its content leaves out, and those of a task that are
+            others; a scenario keeps its own.
+        changes: JSON values that replace those of the source; None leaves the source's own.
 
     Raises:
-        ScenarioError: naming the file and what is wrong in it.
+        ScenarioError: There is no such task or file, or the scenario cannot be.
     """
+    wanted = _read_scenario({key: value for key, value in changes.items() if value is not None})
+    if isinstance(source, Scenario):
+        return source.replaced(**wanted)
+    usual, plain = _read_scenario(defaults), TASKS["flag"]
+    if isinstance(source, Mapping):
+        return plain.replaced(**(usual | _read_scenario(source) | wanted))
+    if source in TASKS:
+        return TASKS[str(source)].replaced(**(usual | wanted))
+    words = f"expected {', '.join(TASKS)} or the path of a scenario file (.json); got "
+    words += repr(str(source))
+    require(bool(Path(source).suffix) or Path(source).exists(), f"task: {words}")
     try:
-        values = json.loads(Path(path).read_text(encoding="utf-8"))
-        return Scenario.from_dict(values, defaults)
+        values = _read_scenario(json.loads(Path(source).read_text(encoding="utf-8")))
+        return plain.replaced(**(usual | values | wanted))
     except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from error
+        raise ScenarioError(f"{source}: cannot be read: {error.strerror}") from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: is not JSON: {error}") from error
+        raise ScenarioError(f"{source}: is not JSON: {error}") from error
     except ScenarioError as error:
-        raise ScenarioError(f"{path}: {error}") from error
+        raise ScenarioError(f"{source}: {error}") from error
 
 
-def _inside(xs: np.ndarray, ys: np.ndarray, size: tuple[float, float], margin: float) -> bool:
-    low, high = min(xs.min(), ys.min()), (xs.max(), ys.max())
-    return bool(low >= margin and high[0] <= size[0] - margin and high[1] <= size[1] - margin)
+def load_scenario(path: Path | str) -> Scenario:
+    """The scenario of a JSON file, or a `ScenarioError` that names the file and what is wrong."""
+    return find_scenario(Path(path))
+
+
+def _read_scenario(values: Any) -> dict[str, Any]:
+    """Values of `Scenario` from JSON values; errors name the key."""
+    require_keys(values, Scenario, "the scenario")
+    read = dict(values)
+    for key, kind in (("walls", Wall), ("spawns", Spawn)):
+        if key in read:
+            read[key] = read_list(kind, read[key], key)
+    if "flag" in read and not isinstance(read["flag"], FlagSchedule):
+        require_keys(read["flag"], FlagSchedule, "flag")
+        read["flag"] = FlagSchedule(**read["flag"])
+    weights = read.get("reward_weights", {})
+    words = f"reward_weights: expected an object of names and numbers, got {weights!r}"
+    require(isinstance(weights, Mapping), words)
+    require_fields(Scenario, read, "scenario", robots=1)
+    return read
 
 
 # The places of the published moving-flag run, recovered from its figure: they were drawn in a
 # ring of 100 to 250 units round the spawn. A fixed list is the same for every algorithm.
-MOVING_FLAG: tuple[tuple[float, float], ...] = (
-    (251.9, 195.4),
-    (253.5, 310.2),
-    (537.0, 170.7),
-    (414.1, 396.3),
-    (324.6, 127.8),
-    (299.6, 388.9),
-    (458.2, 181.3),
-    (611.1, 184.5),
-    (392.5, 393.5),
-    (344.7, 164.9),
-    (235.1, 424.9),
-    (432.2, 141.2),
-    (353.9, 26.8),
-)
-
+_X = 251.9, 253.5, 537.0, 414.1, 324.6, 299.6, 458.2, 611.1, 392.5, 344.7, 235.1, 432.2, 353.9
+_Y = 195.4, 310.2, 170.7, 396.3, 127.8, 388.9, 181.3, 184.5, 393.5, 164.9, 424.9, 141.2, 26.8
+_MOVING = FlagSchedule(positions=tuple(zip(_X, _Y, strict=True)), interval_ticks=5000)
 _MAZE = (3.0, 2.0)  # the map's origin, for a field that just holds its outer walls
-
 TASKS: dict[str, Scenario] = {
-    "flag": Scenario(name="flag", flag=FlagSchedule(positions=((300.0, 166.67),))),
-    "moving": Scenario(
-        name="moving", flag=FlagSchedule(positions=MOVING_FLAG, interval_ticks=5000)
-    ),
+    "flag": Scenario(name="flag"),
+    "moving": Scenario(name="moving", flag=_MOVING),
     "wall": Scenario(
         name="wall",
         flag=FlagSchedule(positions=((400.0, 533.33),)),
@@ -304,8 +324,8 @@ TASKS: dict[str, Scenario] = {
         name="maze",
         width=204.0,
         height=210.0,
-        spawns=(Spawn(x=_MAZE[0] + START[0], y=_MAZE[1] + START[1], jitter=6),),
-        flag=FlagSchedule(positions=((_MAZE[0] + GOAL[0], _MAZE[1] + GOAL[1]),)),
+        spawns=(Spawn(x=_MAZE[0] + MAZE_START[0], y=_MAZE[1] + MAZE_START[1], jitter=6),),
+        flag=FlagSchedule(positions=((_MAZE[0] + MAZE_GOAL[0], _MAZE[1] + MAZE_GOAL[1]),)),
         walls=hard_maze(*_MAZE),
     ),
     "switch": Scenario(

@@ -7,7 +7,7 @@ The definitions are those of the OpenNERO source code (2014): `RaySensor.cpp`,
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -38,13 +38,9 @@ _RAYS = np.array([(math.cos(angle), math.sin(angle)) for angle in RAY_ANGLES_RAD
 
 @dataclass(frozen=True, kw_only=True)
 class SensorSchema:
-    """Meaning and order of observations and actions.
+    """Meaning and order of observations, each in [0, 1], and of actions: a name for each index.
 
-    Attributes:
-        name: to be stored with whatever was trained on it, such as genomes.
-        observations: one name for each index; every value lies in [0, 1]. A bias is not part of
-            it: networks have their own.
-        actions: one name for each index.
+    The schema's own name is stored with whatever was trained on it, such as genomes.
     """
 
     name: str
@@ -52,17 +48,15 @@ class SensorSchema:
     actions: tuple[str, ...]
 
     def index(self, observation: str) -> int:
-        """Return the index of an observation."""
+        """The index of an observation."""
         return self.observations.index(observation)
 
     def action_bounds(self, scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
-        """Return the least and the greatest action, float32 [actions], in physical units."""
+        """The least and the greatest action, float32 [actions], in physical units."""
         high = {"speed": scenario.max_speed, "turn": scenario.max_turn_rad}
         low = {name: -value for name, value in high.items()}
-        return (
-            np.array([low.get(name, 0.0) for name in self.actions], dtype=np.float32),
-            np.array([high.get(name, 1.0) for name in self.actions], dtype=np.float32),
-        )
+        least = np.array([low.get(name, 0.0) for name in self.actions], dtype=np.float32)
+        return least, np.array([high.get(name, 1.0) for name in self.actions], dtype=np.float32)
 
 
 SCHEMAS: dict[str, SensorSchema] = {
@@ -79,30 +73,26 @@ SCHEMAS: dict[str, SensorSchema] = {
 }
 # Two flags: the first 12 indices stay; OpenNERO's second flag is seen by the radar of the enemies,
 # who are not there.
-SCHEMAS["arena-two-flags"] = SensorSchema(
+SCHEMAS["arena-two-flags"] = replace(
+    SCHEMAS["arena"],
     name="arena-1-two-flags",
     observations=(*SCHEMAS["arena"].observations, *_SECOND_FLAG),
-    actions=SCHEMAS["arena"].actions,
 )
-SCHEMAS["opennero-two-flags"] = SensorSchema(
+SCHEMAS["opennero-two-flags"] = replace(
+    SCHEMAS["opennero"],
     name="opennero-2014-two-flags",
     observations=(*_WALL, *_FLAG, *_SECOND_FLAG, *_FRIEND, "unused"),
-    actions=SCHEMAS["opennero"].actions,
 )
 IGNORE_ABOVE = 0.5
 
 
 def schema_of(scenario: Scenario) -> SensorSchema:
-    """Return the schema of a scenario's sensors: of one flag or of two."""
+    """The schema of a scenario's sensors: of one flag or of two."""
     return SCHEMAS[scenario.sensors + ("-two-flags" if scenario.flag.switch_ticks else "")]
 
 
 class Senses:
-    """Senses all robots of one scenario.
-
-    Args:
-        scenario: gives the walls and the schema.
-    """
+    """Senses all robots of one scenario, which gives the walls and the schema."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.schema = schema_of(scenario)
@@ -118,7 +108,7 @@ class Senses:
         ignore: np.ndarray | None = None,
         second: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return observations, float32 [arenas, robots, observations], each in [0, 1].
+        """Observations, float32 [arenas, robots, observations], each in [0, 1].
 
         Wall sensors read min(1, 5 / distance) along rays of 50 units. A radar sector reads
         min(1, 30 / distance) if the flag is in it and within 300 units; its borders belong to it
@@ -140,7 +130,7 @@ class Senses:
         _write_values(values, friend, walls, friends, position, ahead, flag)
         if second is not None:
             index = self.schema.index(_SECOND_FLAG[0])
-            _write_second_flag(values[..., index:], position, ahead, second)
+            _write_flag(values[..., index:], position, ahead, second)
         if ignore is not None and ignore.any():
             values[ignore, friend : friend + 2] = 0.0
         return values
@@ -156,17 +146,11 @@ def _write_values(
     ahead: np.ndarray,
     flag: np.ndarray,
 ) -> None:
-    """Turn distances and ways into sensor values.
+    """Write `Senses.sense` into zeros; `friend` is the index of the first friend sensor.
 
-    Args:
-        values: written, float32 [arenas, robots, observations], zeros.
-        friend: index of the first friend sensor.
-        walls: distances to walls, float64 [arenas, robots, rays], units.
-        friends: way to the middle of the friends, float64 [arenas, robots, 2], units.
-        position: float64 [arenas, robots, 2], units.
-        ahead: cosine and sine of the heading, float64 [arenas, robots, 2].
-        flag: float64 [arenas, 2], units.
+    `walls` are distances [arenas, robots, rays], `friends` ways [arenas, robots, 2], in units.
     """
+    _write_flag(values[..., len(RAY_ANGLES_RAD) :], position, ahead, flag)
     arenas, robots, rays = walls.shape
     for arena in range(arenas):
         for robot in range(robots):
@@ -175,12 +159,6 @@ def _write_values(
                 distance = walls[arena, robot, ray]
                 if distance <= RAY_LENGTH:
                     value[ray] = RAY_NEAR / max(distance, RAY_NEAR)
-            x = flag[arena, 0] - position[arena, robot, 0]
-            y = flag[arena, 1] - position[arena, robot, 1]
-            distance = math.sqrt(x * x + y * y)
-            if distance <= RADAR_RANGE:
-                near = RADAR_NEAR / max(distance, RADAR_NEAR)
-                _write_radar(value[rays:], near, _angle_rad(x, y, ahead[arena, robot]))
             x, y = friends[arena, robot, 0], friends[arena, robot, 1]
             distance = math.sqrt(x * x + y * y)
             value[friend] = max(1.0 - distance / FRIEND_RANGE, 0.0)
@@ -190,10 +168,10 @@ def _write_values(
 
 
 @njit(cache=True)
-def _write_second_flag(
+def _write_flag(
     values: np.ndarray, position: np.ndarray, ahead: np.ndarray, flag: np.ndarray
 ) -> None:
-    """Write the radar of the second flag; arguments as in `_write_values`, its sensors first."""
+    """Write the radar of a flag into values that begin with its sensors."""
     arenas, robots, _ = position.shape
     for arena in range(arenas):
         for robot in range(robots):
@@ -202,21 +180,16 @@ def _write_second_flag(
             distance = math.sqrt(x * x + y * y)
             if distance <= RADAR_RANGE:
                 near = RADAR_NEAR / max(distance, RADAR_NEAR)
-                _write_radar(values[arena, robot], near, _angle_rad(x, y, ahead[arena, robot]))
-
-
-@njit(cache=True)
-def _write_radar(seen: np.ndarray, near: float, angle_rad: float) -> None:
-    angle_deg = math.degrees(angle_rad)
-    for sector, (left, right) in enumerate(RADAR_SECTORS_DEG):
-        if right <= angle_deg <= left:
-            seen[sector] = near
-    if abs(angle_deg) >= RADAR_REAR_DEG:
-        seen[len(RADAR_SECTORS_DEG)] = near
+                angle_deg = math.degrees(_angle_rad(x, y, ahead[arena, robot]))
+                for sector, (left, right) in enumerate(RADAR_SECTORS_DEG):
+                    if right <= angle_deg <= left:
+                        values[arena, robot, sector] = near
+                if abs(angle_deg) >= RADAR_REAR_DEG:
+                    values[arena, robot, len(RADAR_SECTORS_DEG)] = near
 
 
 @njit(cache=True)
 def _angle_rad(x: float, y: float, ahead: np.ndarray) -> float:
-    """Return the angle from the heading to the left to a way (x, y), in (-pi, pi]."""
+    """The angle from the heading to the left to a way (x, y), in (-pi, pi]."""
     along, across = ahead[0] * x + ahead[1] * y, ahead[0] * y - ahead[1] * x
     return math.atan2(across, along)

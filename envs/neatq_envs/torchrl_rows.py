@@ -1,181 +1,184 @@
-"""Any Gymnasium environment as a TorchRL environment of [arenas, rows]."""
+"""Any Gymnasium environment as a TorchRL environment of [arenas, slots]."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from tensordict import TensorDictBase
-from torchrl.data import Bounded, Categorical, Composite, Unbounded
+from torchrl.data import Bounded, Unbounded
 
-from neatq_envs.gymnasium_rows import EpisodeRows, Rows, make_rows
-from neatq_envs.gymnasium_task import GymnasiumTask, Interface
+from neatq_envs.episodes import TRAINING, EpisodeRows, Starts
+from neatq_envs.gymnasium_rows import EnvRows
+from neatq_envs.gymnasium_task import Interface
 from neatq_envs.observation_scaling import LARGEST, ObservationScaling
-from neatq_envs.torchrl_steps import ACTION, DONE, REWARD, RowsEnv, single
+from neatq_envs.torchrl_env import (
+    DONE,
+    OBSERVATION,
+    REWARD_VECTOR,
+    STEP_COUNT,
+    TERMINATED,
+    TRUNCATED,
+    RowsEnv,
+    single,
+)
 
-OBSERVATION = "observation"
-LIVING = "living"
-EPISODE = "episode"
-STEP_COUNT = "step_count"
-TERMINATED = "terminated"
-TRUNCATED = "truncated"
-
-
-def episode_seeds(seed: int, generation: int, episodes: int, *, purpose: int = 0) -> np.ndarray:
-    """The seeds of the episodes of a generation, int64 [episodes], each within 32 bits.
-
-    Episode e begins with `reset(seed=s)`, where s is the first word of
-    `numpy.random.SeedSequence([seed, purpose, generation, e])`. It depends on nothing else, so all
-    rows of an arena begin alike and a run can go on from any generation.
-
-    Args:
-        seed: Of the arena.
-        generation: Number of the generation.
-        episodes: How many.
-        purpose: Episodes for other purposes have other seeds.
-    """
-    words = [
-        np.random.SeedSequence([seed, purpose, generation, episode]).generate_state(1)[0]
-        for episode in range(episodes)
-    ]
-    return np.array(words, np.int64)
+LIVING, EPISODE = "living", "episode"
 
 
 class GymnasiumRows(RowsEnv):
-    """Rows that live some episodes each of a Gymnasium environment, then stand idle.
+    """Rows that live one episode after the other of a Gymnasium environment.
 
     ## Description
-    Every row [arena, row] has an environment of its own. `begin` says with which seeds the
-    episodes of an arena start; they are the same for all its rows. When an episode ends, resetting
-    the row begins its next one. A row that had its last one is idle: `living` is false, it is not
-    stepped, its reward is 0, its observation stays, and it is not done.
+    Resetting a row [arena, slot] at the end of an episode, or before, begins its next one. Episode
+    e of all rows of an arena begins with the seed `episode_seed(seed of the arena, generation, e)`.
+
+    With a number of `episodes` a row that had its last one is idle until `begin`: `living` is
+    false, it is not stepped, its reward is 0, its observation stays, and it is not done. Without,
+    rows live for ever, and the generation is 0.
 
     ## Observation space
-    `observation`, float32 [arenas, rows, inputs], scaled; `living`, bool [.., 1]; `episode`
-    and `step_count`, int64 [.., 1].
+    `observation`, float32 [arenas, slots, inputs], scaled; `living`, bool [.., 1]; `episode`
+    and `step_count`, int64 [.., 1]; `reward_vector`, float64 [.., 1], the reward of the last step
+    in double precision, 0 where an episode begins.
 
     ## Action space
-    `action`, float32 [arenas, rows, actions]: a point in the environment's box, or the number of
+    `action`, float32 [arenas, slots, actions]: a point in the environment's box, or the number of
     one of its choices, counted from 0.
 
-    ## Rewards
-    `reward`, float32 [arenas, rows, 1], as the environment gives it. `episodes.returns`, float64
-    [arenas x rows, episodes], sums it up.
-
-    ## Episode end
-    `terminated` and `truncated` are the environment's own: a value may be bootstrapped over the
-    second, and not over the first.
+    ## Rewards and episode end
+    `reward`, float32 [arenas, slots, 1], is summed up by `episodes.returns`. `terminated` and
+    `truncated` are the environment's own: a value may be bootstrapped over the second only.
 
     Args:
-        rows: The environments, as `make_rows` makes them.
+        rows: The environments, as `make_rows` makes them; whoever made them closes them.
         interface: What is read and done in them.
         scaling: Of the observations.
-        shape: (arenas, rows).
-        seeds: The episodes of each arena [arenas, episodes] of the first `begin`. Default: one
-            episode, with those of arena i for the seed i.
+        shape: (arenas, slots).
+        seeds: Of the arenas, one each; 0, 1, 2 and so on by default.
+        episodes: Of each row; None: without end.
+        purpose: What the episodes are for; see `episode_seed`.
         name: What messages call the environment.
         label: What they call a row, counted over all arenas.
     """
 
-    seen = (OBSERVATION, LIVING, EPISODE, STEP_COUNT, DONE, TERMINATED, TRUNCATED)
-
     def __init__(
         self,
-        rows: Rows,
+        rows: EnvRows,
         interface: Interface,
         scaling: ObservationScaling,
         *,
         shape: Sequence[int],
-        seeds: ArrayLike | None = None,
+        seeds: Sequence[int] | None = None,
+        episodes: int | None = None,
+        purpose: int = TRAINING,
         name: str = "the environment",
         label: Callable[[int], str] = "row {}".format,
     ) -> None:
         super().__init__(device=None, batch_size=torch.Size(shape))
-        self.interface = interface
-        self.scaling = scaling
+        self.interface, self.scaling = interface, scaling
         self.episodes = EpisodeRows(rows, name, label)
-        self._make_specs()
-        if seeds is None:
-            self._set_seed(0)
-        else:
-            self.begin(seeds)
+        self.seeds = self._checked(range(shape[0]) if seeds is None else seeds)
+        self._number, self._purpose = episodes, purpose
+        inputs = self._size(interface.inputs)
+        observed = {
+            OBSERVATION: Bounded(-LARGEST, LARGEST, shape=inputs, dtype=torch.float32),
+            REWARD_VECTOR: Unbounded(shape=self._size(1), dtype=torch.float64),
+            LIVING: self._truth(),
+            EPISODE: self._count(),
+            STEP_COUNT: self._count(),
+        }
+        self._declare(interface.bounds, observed, Unbounded(shape=self._size(1)))
+        self.begin()
 
-    @classmethod
-    def make(
-        cls, task: GymnasiumTask, scaling: ObservationScaling, *, shape: Sequence[int]
-    ) -> GymnasiumRows:
-        """Make the environments of a task, and this environment of them."""
-        rows, interface = make_rows(task)
-        return cls(rows, interface, scaling, shape=shape, name=task.id)
-
-    def begin(self, seeds: ArrayLike) -> None:
-        """Say what the rows live through; the next `reset` without a mask begins it.
+    def begin(self, generation: int = 0, *, starts: ArrayLike | None = None) -> None:
+        """Have the next reset, with a mask or without, begin the first episode of every row.
 
         Args:
-            seeds: Int64 [arenas, episodes], as `episode_seeds` makes them.
+            generation: Whose episodes they are.
+            starts: Their seeds, int64 [arenas x slots, episodes], in place of the generation's.
         """
-        seeds = np.asarray(seeds, np.int64)
-        arenas, rows = self.batch_size
-        if seeds.ndim != 2 or len(seeds) != arenas or not seeds.shape[1]:
-            raise ValueError(
-                f"seeds: expected those of the episodes of {arenas} arenas, got the shape "
-                f"{list(seeds.shape)}"
-            )
-        self._seeds = np.repeat(seeds, rows, axis=0)
+        given = None if starts is None else np.array(starts, np.int64)
+        rows = self.batch_size.numel()
+        if given is not None and (given.ndim != 2 or len(given) != rows or not given.size):
+            words = f"of {rows} rows, got the shape {list(given.shape)}"
+            raise ValueError(f"starts: expected the seeds of the episodes {words}")
+        self.generation, self._given = generation, given
+        self._pending, self._restored = True, False
 
-    def _make_specs(self) -> None:
-        low, high = (torch.tensor(bound) for bound in self.interface.bounds)
-        size, one = self._size(len(low)), self._size(1)
-        self.action_spec = Bounded(low.expand(size), high.expand(size), dtype=torch.float32)
-        seen = self._size(self.interface.inputs)
-        truth = Categorical(2, shape=one, dtype=torch.bool)
-        count = Unbounded(shape=one, dtype=torch.int64)
-        self.observation_spec = Composite(
-            {
-                OBSERVATION: Bounded(-LARGEST, LARGEST, shape=seen, dtype=torch.float32),
-                LIVING: truth,
-                EPISODE: count,
-                STEP_COUNT: count.clone(),
-            },
-            shape=self.batch_size,
+    def rebuild(self) -> None:
+        """Nothing needs it; the worlds of `ArenaEnv` do."""
+
+    def world_state(self) -> dict[str, Any]:
+        """All that the rows are, as in `ArenaEnv`; see `EpisodeRows.state`."""
+        return {
+            "seeds": list(self.seeds),
+            "generation": self.generation,
+            "starts": self._given,
+            "rows": None if self._pending else self.episodes.state(),
+        }
+
+    def load_world_state(self, state: Mapping[str, Any]) -> None:
+        """Continue from a `world_state`; `reset()` without a mask then returns it until a step."""
+        self.seeds = self._checked(state["seeds"])
+        self.begin(state["generation"], starts=state["starts"])
+        rows, own = state["rows"], self.batch_size.numel()
+        if rows is None:
+            return
+        if len(rows["living"]) != own:
+            raise ValueError(f"the state has {len(rows['living'])} rows, this has {own}")
+        self.episodes.load_state(rows, self._starts())
+        self._pending, self._restored = False, True
+
+    def _starts(self) -> Starts:
+        if self._given is not None:
+            return Starts.given(self._given)
+        return Starts.drawn(
+            self.seeds, self.batch_size[1], self._number, self.generation, self._purpose
         )
-        self.reward_spec = Unbounded(shape=one)
-        ends = {name: truth.clone() for name in (DONE, TERMINATED, TRUNCATED)}
-        self.full_done_spec = Composite(ends, shape=self.batch_size)
+
+    def _checked(self, seeds: Sequence[int]) -> tuple[int, ...]:
+        if len(seeds) != self.batch_size[0]:
+            words = f"one for each of {self.batch_size[0]} arenas, got {len(seeds)}"
+            raise ValueError(f"seeds: expected {words}")
+        return tuple(int(seed) for seed in seeds)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
-        if mask is None:
-            self.episodes.begin(self._seeds)
-        else:
+        if self._pending or (mask is None and not self._restored):
+            self.episodes.begin(self._starts())
+            self._pending = False
+            if tensordict is not None and mask is not None:
+                tensordict.set("_reset", torch.ones_like(mask))
+        elif mask is not None:
             self.episodes.go_on(mask.reshape(-1).numpy())
         return self._tensordict(self._observe())
 
-    def _advance(self, tensordict: TensorDictBase) -> dict[str, torch.Tensor]:
-        self.episodes.step(tensordict.get(ACTION).detach().flatten(0, 1).numpy())
-        values = self._observe()
-        values[REWARD] = single(self.episodes.reward).view(self._size(1))
-        return values
+    def _act(self, actions: np.ndarray) -> torch.Tensor:
+        if self._pending:
+            raise RuntimeError("step: after begin, reset the environment before the next step")
+        self._restored = False
+        self.episodes.step(actions.reshape(self.batch_size.numel(), -1))
+        return single(self.episodes.reward).view(self._size(1))
 
     def _observe(self) -> dict[str, torch.Tensor]:
         now, one = self.episodes, self._size(1)
-        terminated, truncated = (torch.from_numpy(a) for a in (now.terminated, now.truncated))
+        seen = torch.from_numpy(self.scaling(now.observation))
         return {
-            OBSERVATION: torch.from_numpy(self.scaling(now.observation)).unflatten(
-                0, self.batch_size
-            ),
+            OBSERVATION: seen.unflatten(0, self.batch_size),
+            REWARD_VECTOR: torch.from_numpy(now.reward).view(one),
             LIVING: torch.from_numpy(now.living).view(one),
             EPISODE: torch.from_numpy(now.episode).view(one),
             STEP_COUNT: torch.from_numpy(now.step_count).view(one),
-            DONE: (terminated | truncated).view(one),
-            TERMINATED: terminated.view(one),
-            TRUNCATED: truncated.view(one),
+            DONE: torch.from_numpy(now.terminated | now.truncated).view(one),
+            TERMINATED: torch.from_numpy(now.terminated).view(one),
+            TRUNCATED: torch.from_numpy(now.truncated).view(one),
         }
 
     def _set_seed(self, seed: int | None) -> None:
         first = 0 if seed is None else seed
-        arenas = range(first, first + self.batch_size[0])
-        self.begin(np.stack([episode_seeds(arena, 0, 1) for arena in arenas]))
+        self.seeds = tuple(range(first, first + self.batch_size[0]))
+        self.begin()

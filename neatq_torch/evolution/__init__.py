@@ -1,42 +1,42 @@
 """Who lives and who breeds; numpy only."""
 
-from neatq_torch.evolution.eligibility import interval_ticks, intervals_until
 from neatq_torch.evolution.neat import NEAT, NEATConfig
-from neatq_torch.evolution.novelty import Novelty
-from neatq_torch.evolution.reproduction import (
-    AS_WRITTEN,
-    NEAT_2002,
-    OPENNERO,
-    Parent,
-    ReproductionConfig,
-    offspring,
+from neatq_torch.evolution.population import (
+    FixedConfig,
+    FixedPopulation,
+    Generational,
+    Population,
+    Replacement,
+    generator_from,
+    population_kinds,
+    register_population,
 )
-from neatq_torch.evolution.rtneat import Replacement, RtNEAT, RtNEATConfig
-from neatq_torch.evolution.selection import choose_parents, roulette
-from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
-from neatq_torch.evolution.trials import Trials, relative_fitness, z_scores
+from neatq_torch.evolution.reproduction import AS_WRITTEN, NEAT_2002, OPENNERO, ReproductionConfig
+from neatq_torch.evolution.rtneat import RtNEAT, RtNEATConfig, interval_ticks
+from neatq_torch.evolution.species import Species, SpeciesConfig
+
+register_population("rtneat", RtNEATConfig, RtNEAT)
+register_population("neat", NEATConfig, NEAT)
+register_population("fixed", FixedConfig, FixedPopulation)
 
 __all__ = [
     "AS_WRITTEN",
     "NEAT",
     "NEAT_2002",
     "OPENNERO",
+    "FixedConfig",
+    "FixedPopulation",
+    "Generational",
     "NEATConfig",
-    "Novelty",
-    "Parent",
+    "Population",
     "Replacement",
     "ReproductionConfig",
     "RtNEAT",
     "RtNEATConfig",
-    "Speciation",
     "Species",
     "SpeciesConfig",
-    "Trials",
-    "choose_parents",
+    "generator_from",
     "interval_ticks",
-    "intervals_until",
-    "offspring",
-    "relative_fitness",
-    "roulette",
-    "z_scores",
+    "population_kinds",
+    "register_population",
 ]

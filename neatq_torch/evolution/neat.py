@@ -7,33 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from neatq_torch.evolution.chance import generator_from
-from neatq_torch.evolution.generation import breeders, judged, offspring_counts, shared_fitness
-from neatq_torch.evolution.reproduction import NEAT_2002, Parent, ReproductionConfig, offspring
+from neatq_torch.evolution.population import Generational, Replacement, Start
+from neatq_torch.evolution.reproduction import NEAT_2002, ReproductionConfig
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
-from neatq_torch.genome import (
-    Genome,
-    InnovationLedger,
-    initial_genome,
-    layered_genome,
-    pack_genomes,
-    random_genome,
-    unpack_genomes,
-)
+from neatq_torch.evolution.trials import checked
+from neatq_torch.genome import Genome
+from neatq_torch.kinds import check_fields
 
-Innovations = Literal["generation", "run"]
+Numbering = Literal["generation", "run"]
 """For how long equal mutations have equal numbers."""
+
+Child = tuple[Genome, tuple[int, ...]]
+"""A genome of the next generation, and the ids of its parents."""
 
 Representative = Literal["champion", "random"]
 """Which member of a species newcomers are compared with."""
-
-Start = Literal["minimal", "layered", "random"]
-"""What founders look like: no hidden nodes; one hidden layer; a random topology."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +56,10 @@ class NEATConfig:
         elite_members: the champion of a species with more members than this lives on unchanged.
         start: what founders look like.
         start_hidden: hidden nodes of "layered" founders, and the most that "random" ones have.
+        episodes: episodes of a life; fitness is the mean over them.
+
+    Example:
+        >>> config = NEATConfig(survival_share=0.3, start="layered")
     """
 
     reproduction: ReproductionConfig = NEAT_2002
@@ -72,150 +69,59 @@ class NEATConfig:
     survival_share: float = 0.2
     stagnation_generations: int = 15
     refocus_generations: int = 20
-    innovations: Innovations = "generation"
+    innovations: Numbering = "generation"
     elite_members: int = 5
     start: Start = "minimal"
     start_hidden: int = 10
+    episodes: int = 1
 
     def __post_init__(self) -> None:
-        """Check every value."""
-        if not 0.0 <= self.survival_share <= 1.0:
-            raise ValueError(f"survival_share must lie in [0, 1], not {self.survival_share}.")
-        for name in ("stagnation_generations", "refocus_generations", "start_hidden"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
-        if self.elite_members < 0:
-            raise ValueError(f"elite_members must be >= 0, not {self.elite_members}.")
-        if self.innovations not in ("generation", "run"):
-            raise ValueError(
-                f"innovations must be 'generation' or 'run', not {self.innovations!r}."
-            )
-        if self.representative not in ("champion", "random"):
-            raise ValueError(
-                f"representative must be 'champion' or 'random', not {self.representative!r}."
-            )
-        if self.start not in ("minimal", "layered", "random"):
-            raise ValueError(f"start must be 'minimal', 'layered' or 'random', not {self.start!r}.")
+        check_fields(self, survival_share="[0, 1]", elite_members="[0, inf]", start=Start)
+        for name in ("stagnation_generations", "refocus_generations", "start_hidden", "episodes"):
+            check_fields(self, **{name: "[1, inf]"})
+        check_fields(self, innovations=Numbering, representative=Representative)
 
 
-@dataclass
-class _Record:
-    """The best fitness so far, and the generation in which it was reached."""
+class NEAT(Generational):
+    """A population of which all members are replaced at once; see `Generational`.
 
-    best: float | None = None
-    generation: int = 0
-
-    def note(self, fitness: float, generation: int) -> None:
-        if self.best is None or fitness > self.best:
-            self.best, self.generation = fitness, generation
-
-
-class NEAT:
-    """A population of which all members are replaced at once.
+    Champions that live on keep their `genome_id` and are no births.
 
     Attributes:
-        genomes: [population] the genomes of this generation; only `advance` and `write_back`
-            exchange them. Champions that live on keep their `genome_id`.
-        generation: generations so far; the founders are generation 0.
-        births: offspring so far, without the champions that lived on.
-        rng: the only source of chance.
-        ledger: historical markings.
         speciation: species and their threshold.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> population = NEAT.start(NEATConfig(), slots=20, inputs=2, outputs=1, rng=rng)
+        >>> fitness = [genome.link_weight.sum() ** 2 for genome in population.genomes]
+        >>> replacements = population.tell(fitness)
     """
 
-    def __init__(
-        self,
-        config: NEATConfig,
-        genomes: Sequence[Genome],
-        rng: np.random.Generator,
-        ledger: InnovationLedger,
-        first_genome_id: int,
-    ) -> None:
-        """Start with founders.
+    config: NEATConfig
+    kept = (*Generational.kept, "speciation")
 
-        Args:
-            config: how generations follow each other.
-            genomes: [population] the founders, all with the same inputs and outputs.
-            rng: the only source of chance; nobody else should draw from it.
-            ledger: historical markings that know the founders.
-            first_genome_id: number of the first offspring, beyond those of the founders.
-
-        Raises:
-            ValueError: there is no founder, or the number is taken.
-        """
-        highest = max((genome.genome_id for genome in genomes), default=None)
-        if highest is None:
-            raise ValueError("a population needs at least 1 genome, not 0.")
-        if first_genome_id <= highest:
-            raise ValueError(
-                f"first_genome_id must be beyond the founders' highest id {highest}, not "
-                f"{first_genome_id}."
-            )
-        self.config = config
-        self.genomes = list(genomes)
-        self.generation = 0
-        self.births = 0
-        self.rng = rng
-        self.ledger = ledger
+    def begin(self) -> None:
+        """See `Population`."""
+        super().begin()
+        config = self.config
         self.speciation = Speciation(config.species, config.reproduction.distance)
         if not config.speciate:
             # Everybody is compatible. Finite, because a state is kept as JSON.
             self.speciation.threshold = float(np.finfo(np.float64).max)
         self.speciation.renew(self.genomes, [])
-        self._next_genome_id = first_genome_id
-        self._record = _Record()
-        self._records: dict[int, _Record] = {}
-
-    @classmethod
-    def start(
-        cls,
-        config: NEATConfig,
-        *,
-        population: int,
-        inputs: int,
-        outputs: int,
-        rng: np.random.Generator,
-        bias: bool = True,
-        activation: str | None = None,
-        observation_schema: str = "",
-    ) -> Self:
-        """Return a population of founders, numbered from 1, that look as `config.start` says.
-
-        Args:
-            config: how generations follow each other.
-            population: number of genomes, the same in all generations.
-            inputs: number of inputs, without the bias.
-            outputs: number of outputs.
-            rng: the only source of chance.
-            bias: whether there is a bias node.
-            activation: activation of the outputs, and of hidden nodes that founders have; that
-                which mutation gives to hidden nodes if None.
-            observation_schema: name of the meaning and order of the inputs.
-        """
-        settings: dict[str, Any] = {
-            "rng": rng,
-            "bias": bias,
-            "activation": activation or config.reproduction.mutation.hidden_activation,
-            "observation_schema": observation_schema,
-        }
-        make = initial_genome
-        if config.start != "minimal":
-            make = layered_genome if config.start == "layered" else random_genome
-            settings["hidden"] = config.start_hidden
-        numbers = range(1, population + 1)
-        founders = [make(inputs, outputs, genome_id=one, **settings) for one in numbers]
-        return cls(config, founders, rng, InnovationLedger.for_genomes(founders), population + 1)
+        # The best fitness so far and its generation: of the population (0) and of its species.
+        self._records: dict[int, tuple[float | None, int]] = {0: (None, 0)}
 
     @property
     def species(self) -> list[Species]:
-        """All species of this generation, in the order they were founded."""
+        """See `Population`."""
         return self.speciation.species
 
-    def write_back(self, slot: int, weights: ArrayLike) -> None:
-        """Give the genome of a slot the weights, float32 [links], that it learned in its life."""
-        self.genomes[slot] = self.genomes[slot].with_weights(weights)
+    def advance(self) -> list[Replacement]:
+        """See `Population`; replaces all once all have had all their episodes."""
+        return self.tell(self.fitness) if self.due() else []
 
-    def advance(self, fitness: ArrayLike) -> None:
+    def tell(self, fitness: ArrayLike) -> list[Replacement]:
         """Replace this generation by the next.
 
         Species are ranked and have offspring in proportion to their mean fitness; the fittest of
@@ -225,71 +131,62 @@ class NEAT:
         balancing hung on to it for hundreds of generations.
 
         Args:
-            fitness: [population] of the genomes in their slots, finite. May be negative.
+            fitness: [slots], finite. May be negative.
 
         Raises:
             ValueError: the shape is wrong or a fitness is not finite.
         """
-        fitness = judged(fitness, len(self.genomes))
+        mend = " Give a genome that could not be judged the lowest fitness of the task."
+        fitness = checked("fitness", fitness, mend=mend, slots=len(self.genomes))
         for species in self.species:
             species.rank(fitness)
         champions = fitness[[species.members[0] for species in self.species]]
         self._note(champions)
         counts = self._offspring_counts(shared_fitness(fitness, self.species), champions)
-        genomes: list[Genome] = []
+        children: list[Child] = []
         for species, count in zip(self.species, counts.tolist(), strict=True):
-            genomes += self._children(species, count, fitness)
-        self._settle(genomes)
+            children += self._children(species, count, fitness)
+        removed = [genome.genome_id for genome in self.genomes]
+        self._settle([genome for genome, _ in children])
+        slots = enumerate(zip(children, removed, strict=True))
+        return [Replacement(slot, one, gone, parents) for slot, ((one, parents), gone) in slots]
 
     def _note(self, champions: NDArray[np.float64]) -> None:
         """Bring the records of the population and of all [species] up to date."""
-        self._record.note(float(champions.max()), self.generation)
-        records: dict[int, _Record] = {}
-        for species, fitness in zip(self.species, champions.tolist(), strict=True):
-            record = self._records.get(species.species_id, _Record())
-            record.note(fitness, self.generation)
-            records[species.species_id] = record
-        self._records = records
+        old, self._records = self._records, {}
+        keys = [0, *(one.species_id for one in self.species)]
+        for key, fitness in zip(keys, [float(champions.max()), *champions.tolist()], strict=True):
+            best, reached = old.get(key, (None, 0))
+            better = best is None or fitness > best
+            self._records[key] = (fitness, self.generation) if better else (best, reached)
 
     def _offspring_counts(
         self, shares: NDArray[np.float64], champions: NDArray[np.float64]
     ) -> NDArray[np.int64]:
-        """Return how many genomes of the next generation come from each of [species].
-
-        Args:
-            shares: their shared fitness; written.
-            champions: the fitness of their champions.
-        """
-        records = [self._records[one.species_id] for one in self.species]
-        waited = np.array([self.generation - one.generation for one in records])
-        shares[waited >= self.config.stagnation_generations] = 0.0
-        all_waited = self.generation - self._record.generation
-        if all_waited >= self.config.refocus_generations or not shares.any():
-            shares = self._refocused(champions)
+        """How many genomes come from each of [species]; `shares`, their fitness, is written."""
+        reached = np.array([self._records[one.species_id][1] for one in self.species])
+        shares[self.generation - reached >= self.config.stagnation_generations] = 0.0
+        waited = self.generation - self._records[0][1]
+        if waited >= self.config.refocus_generations or not shares.any():
+            # Equal shares for the two best, who are given time again.
+            best = np.argsort(-champions, kind="stable")[:2]
+            shares = np.isin(np.arange(champions.size), best).astype(np.float64)
+            for key in (0, *(self.species[one].species_id for one in best)):
+                self._records[key] = self._records[key][0], self.generation
         return offspring_counts(shares, len(self.genomes))
 
-    def _refocused(self, champions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return equal shares for the two best of [species], who are given time again."""
-        best = np.argsort(-champions, kind="stable")[:2]
-        self._record.generation = self.generation
-        for one in best:
-            self._records[self.species[one].species_id].generation = self.generation
-        shares = np.zeros(champions.size)
-        shares[best] = 1.0
-        return shares
-
-    def _children(self, species: Species, count: int, fitness: NDArray[np.float64]) -> list[Genome]:
-        """Return what comes from a ranked species: its champion, if it is large, and offspring."""
-        large = species.members.size > self.config.elite_members
-        children = [self.genomes[species.members[0]]] if count and large else []
+    def _children(self, species: Species, count: int, fitness: NDArray[np.float64]) -> list[Child]:
+        """What comes from a ranked species: its champion, if it is large, and offspring."""
+        children: list[Child] = []
+        if count and species.members.size > self.config.elite_members:
+            champion = self.genomes[species.members[0]]
+            children.append((champion, (champion.genome_id,)))
         pool = breeders(species.members, self.config.survival_share)
         while len(children) < count:
             children.append(self._child(species, pool, fitness))
         return children
 
-    def _child(
-        self, home: Species, pool: NDArray[np.int64], fitness: NDArray[np.float64]
-    ) -> Genome:
+    def _child(self, home: Species, pool: NDArray[np.int64], fitness: NDArray[np.float64]) -> Child:
         reproduction = self.config.reproduction
         slots = [int(pool[self.rng.integers(pool.size)])]
         outside = False
@@ -301,61 +198,57 @@ class NEAT:
             else:
                 mate = pool[self.rng.integers(pool.size)]
             slots.append(int(mate))
-        child = offspring(
-            tuple(Parent(self.genomes[slot], float(fitness[slot])) for slot in slots),
-            reproduction,
-            self.ledger,
-            self.rng,
-            genome_id=self._next_genome_id,
-            interspecies=outside,
-        )
-        self._next_genome_id += 1
-        self.births += 1
-        return child
+        return self.breed(slots, fitness, interspecies=outside)
 
     def _settle(self, genomes: list[Genome]) -> None:
         """Make genomes the next generation and sort them into the species, which are ranked."""
-        random = self.config.representative == "random"
-        slots = [
-            one.members[self.rng.integers(one.members.size) if random else 0]
-            for one in self.species
-        ]
-        representatives = [self.genomes[slot] for slot in slots]
-        self.speciation.renew(genomes, representatives)
+        members = [one.members for one in self.species]
+        if self.config.representative == "random":
+            members = [some[self.rng.integers(some.size) :] for some in members]
+        self.speciation.renew(genomes, [self.genomes[some[0]] for some in members])
         if self.config.species.step and self.config.speciate:
             self.speciation.move_threshold()
         if self.config.innovations == "generation":
             self.ledger.forget()
         self.genomes = genomes
-        self.generation += 1
+        self.go_on()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the whole state as JSON values and numpy arrays."""
-        records = {0: self._record, **self._records}
-        return {
-            "genomes": pack_genomes(self.genomes),
-            "rng": self.rng.bit_generator.state,
-            "ledger": self.ledger.state_dict(),
-            "speciation": self.speciation.state_dict(),
-            "records": [[key, one.best, one.generation] for key, one in records.items()],
-            "generation": self.generation,
-            "births": self.births,
-            "next_genome_id": self._next_genome_id,
-        }
+        """See `Population`."""
+        records = [[key, *record] for key, record in self._records.items()]
+        return super().state_dict() | {"records": records}
 
-    @classmethod
-    def from_state(cls, config: NEATConfig, state: Mapping[str, Any]) -> Self:
-        """Return a population that continues bit for bit where `state_dict` was taken."""
-        genomes = unpack_genomes(state["genomes"])
-        rng = generator_from(state["rng"])
-        ledger = InnovationLedger.from_state(state["ledger"])
-        population = cls(config, genomes, rng, ledger, state["next_genome_id"])
-        population.speciation = Speciation.from_state(
-            config.species, config.reproduction.distance, state["speciation"]
-        )
-        records = {key: _Record(best, generation) for key, best, generation in state["records"]}
-        population._record = records.pop(0)
-        population._records = records
-        population.generation = state["generation"]
-        population.births = state["births"]
-        return population
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """See `Population`."""
+        super().load_state(state)
+        self._records = {key: (best, reached) for key, best, reached in state["records"]}
+
+
+def shared_fitness(fitness: NDArray[np.float64], species: Sequence[Species]) -> NDArray[np.float64]:
+    """For each of [species] the sum of fitness / species size over its members.
+
+    That is the mean of its members. Where a fitness is negative, all are first lifted by so much
+    that the lowest is 0; where nobody is fit, all count the same.
+    """
+    lifted = fitness - min(0.0, float(fitness.min()))
+    shared = np.array([lifted[one.members].mean() for one in species])
+    return shared if shared.any() else np.ones(len(species))
+
+
+def offspring_counts(shares: ArrayLike, offspring: int) -> NDArray[np.int64]:
+    """Int64 [species] that add up to `offspring`, in proportion to `shares` [species].
+
+    Everybody gets the whole part of what is due; those with the largest remainders get one more,
+    the first of equals first.
+    """
+    shares = np.asarray(shares, dtype=np.float64)
+    due = shares / shares.sum() * offspring
+    counts = np.floor(due).astype(np.int64)
+    order = np.argsort(counts - due, kind="stable")
+    counts[order[: offspring - counts.sum()]] += 1
+    return counts
+
+
+def breeders(ranked: NDArray[np.int64], survival_share: float) -> NDArray[np.int64]:
+    """Those of a species' members, the fittest first, that may breed: at least one."""
+    return ranked[: int(survival_share * ranked.size) + 1]

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from neatq_torch.evolution.trials import checked
+
 NEIGHBOURS = 15
 """Nearest behaviours from which the distance is taken, as Lehman & Stanley (2011) have it."""
 ARCHIVE_EVERY = 10
@@ -17,63 +19,41 @@ ARCHIVE_EVERY = 10
 class Novelty:
     """The behaviours of one population, and an archive of earlier ones (Lehman & Stanley 2011).
 
-    The behaviour of a robot is what is handed in for the tick at which a trial of it closes, as
-    `Trials` closes them. Every tenth goes into the archive: one taken blindly serves as well as one
-    of the most novel (Lehman & Stanley 2010) and needs no threshold.
+    The behaviour of a robot is what is handed in for the tick at which a trial of it closes. Every
+    tenth goes into the archive: one taken blindly serves as well as one of the most novel (Lehman &
+    Stanley 2010) and needs no threshold.
 
     Attributes:
-        latest: float64 [robots, dimensions], of the last closed trial; NaN before the first.
+        latest: float64 [slots, dimensions], of the last closed trial; NaN before the first.
         archive: float64 [archived, dimensions], the oldest first.
         seen: behaviours so far.
     """
 
-    def __init__(self, robots: int, trial_ticks: int) -> None:
-        """Start with nothing seen; the first behaviours tell how many dimensions there are."""
-        self.trial_ticks = trial_ticks
-        self.latest = np.full((robots, 0), np.nan)
+    def __init__(self, slots: int) -> None:
+        self.latest = np.full((slots, 0), np.nan)
         self.archive = np.empty((0, 0))
         self.seen = 0
 
-    def record(self, age_ticks: NDArray[np.int64], behaviour: ArrayLike) -> None:
-        """Note the behaviours of the trials that close; the cut into batches is no matter.
-
-        Args:
-            age_ticks: [robots] before these ticks.
-            behaviour: [robots, ticks, dimensions].
-
-        Raises:
-            ValueError: the shape is wrong or a behaviour is not finite.
-        """
-        behaviour = self.checked(behaviour)
+    def record(self, closing: NDArray[np.bool_], behaviour: NDArray[np.float64]) -> None:
+        """Note behaviours [slots, ticks, dimensions] where trials close [slots, ticks]."""
         if not self.latest.shape[1]:
             self.latest = np.full((len(self.latest), behaviour.shape[2]), np.nan)
             self.archive = np.empty((0, behaviour.shape[2]))
-        after = age_ticks[:, None] + np.arange(1, behaviour.shape[1] + 1)
         # One tick after the other, as they would come in batches of one.
-        for tick, robot in np.argwhere(after.T % self.trial_ticks == 0):
-            self.latest[robot] = behaviour[robot, tick]
+        for tick, slot in np.argwhere(closing.T):
+            self.latest[slot] = behaviour[slot, tick]
             if self.seen % ARCHIVE_EVERY == 0:
-                self.archive = np.vstack((self.archive, self.latest[robot]))
+                self.archive = np.vstack((self.archive, self.latest[slot]))
             self.seen += 1
 
     def checked(self, behaviour: ArrayLike | None) -> NDArray[np.float64]:
-        """Return behaviour as float64; ValueError if it is not as `record` needs it."""
-        if behaviour is None:
-            raise ValueError("novelty counts here: expected the behaviour of the robots, got none.")
-        behaviour = np.asarray(behaviour, dtype=np.float64)
-        robots, dimensions = self.latest.shape
-        known = (robots, dimensions or behaviour.shape[-1])
-        if behaviour.ndim != 3 or behaviour.shape[::2] != known:
-            raise ValueError(
-                f"behaviour must have the shape [robots = {robots}, ticks, dimensions"
-                f"{f' = {dimensions}' if dimensions else ''}], not {list(behaviour.shape)}."
-            )
-        if not np.isfinite(behaviour).all():
-            raise ValueError("behaviour must be finite everywhere.")
-        return behaviour
+        """Behaviour as float64; ValueError if it is not as `record` needs it."""
+        slots, dimensions = self.latest.shape
+        axes = {"slots": slots, "ticks": None, "dimensions": dimensions or None}
+        return checked("behaviour", behaviour, mend=" Novelty counts here.", **axes)
 
     def of(self, slots: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the novelty of robots [slots] that have closed a trial.
+        """Novelty of slots that have closed a trial.
 
         It is the mean distance to the nearest 15 behaviours of the others and of the archive; 0
         where there are none.
@@ -85,7 +65,7 @@ class Novelty:
         return nearest.mean(-1) if nearest.size else np.zeros(slots.size)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return copies of the arrays."""
+        """Copies of the arrays, and what was seen."""
         return {"latest": self.latest.copy(), "archive": self.archive.copy(), "seen": self.seen}
 
     def load_state(self, state: Mapping[str, Any]) -> None:
@@ -102,25 +82,17 @@ def mixed(
     eligible: NDArray[np.bool_],
     weight: float,
 ) -> NDArray[np.float64]:
-    """Return (1 - weight) * fitness + weight * novelty [robots], each brought to [0, 1] first.
+    """(1 - weight) * fitness [slots] + weight * novelty [eligible slots], each in [0, 1]; [slots].
 
     So Cuccu & Gomez (2011) mix them: the worst eligible robot has 0 and the best 1, or all have 0
     where they are equal. Robots that are not eligible have 0.
-
-    Args:
-        fitness: [robots].
-        novelty: [eligible robots].
-        eligible: [robots].
-        weight: of novelty, in [0, 1].
     """
     score = np.zeros(eligible.size)
-    score[eligible] = (1 - weight) * _unit(fitness[eligible]) + weight * _unit(novelty)
+    score[eligible] = (1 - weight) * _scaled(fitness[eligible]) + weight * _scaled(novelty)
     return score
 
 
-def _unit(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return values [n] between 0 for the least and 1 for the greatest."""
-    if not values.size:
-        return values
-    span = values.max() - values.min()
+def _scaled(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values [n] between 0 for the least and 1 for the greatest."""
+    span = np.ptp(values) if values.size else 0.0
     return (values - values.min()) / span if span > 0 else np.zeros(values.size)

@@ -1,26 +1,28 @@
-"""Reproduction: from parents to one offspring."""
+"""Reproduction: who breeds, and from parents to one offspring."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from neatq_torch.evolution.species import Species
 from neatq_torch.genome import (
     CrossoverConfig,
     DistanceConfig,
     Genome,
     InnovationLedger,
     MutationConfig,
-    ScalesOf,
     compatibility,
     first_is_fitter,
     multipoint,
     multipoint_average,
     mutate,
 )
-from neatq_torch.genome.crossover import with_all_genes
+from neatq_torch.kinds import check_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,10 +48,7 @@ class ReproductionConfig:
     interspecies_mate_prob: float = 0.001
 
     def __post_init__(self) -> None:
-        """Check every value."""
-        for name, value in vars(self).items():
-            if name.endswith("_prob") and not 0.0 <= value <= 1.0:
-                raise ValueError(f"{name} must be a probability in [0, 1], not {value}.")
+        check_fields(self, **{name: "[0, 1]" for name in vars(self) if name.endswith("_prob")})
 
 
 OPENNERO = ReproductionConfig(crossover=CrossoverConfig(copy_disabled=True))
@@ -100,38 +99,71 @@ def offspring(
     *,
     genome_id: int,
     interspecies: bool = False,
-    scales_of: ScalesOf | None = None,
 ) -> Genome:
-    """Return one offspring of one parent (a mutant) or of two.
+    """One offspring of one parent (a mutant) or of two.
 
     Two parents that are the same, by number or by distance 0, always have a mutated child. Parents
-    of different species (`interspecies`) pass on all their genes. `scales_of`: see `mutate`.
+    of different species (`interspecies`) pass on all their genes.
     """
     if len(parents) == 1:
-        child = mutate(parents[0].genome, config.mutation, ledger, rng, scales_of)
+        child = mutate(parents[0].genome, config.mutation, ledger, rng)
         return child.unchecked(genome_id=genome_id)
     first, second = parents
-    child = _cross(first, second, config, rng, interspecies=interspecies)
-    if rng.random() >= config.mate_only_prob or _are_twins(first, second, config):
-        child = mutate(child, config.mutation, ledger, rng, scales_of)
+    cross = multipoint if rng.random() < config.multipoint_prob else multipoint_average
+    genes = replace(config.crossover, keep_all_genes=True) if interspecies else config.crossover
+    fitter = first_is_fitter(first.genome, second.genome, first.fitness, second.fitness)
+    child = cross(first.genome, second.genome, fitter, genes, rng)
+    if rng.random() >= config.mate_only_prob or _are_twins(first.genome, second.genome, config):
+        child = mutate(child, config.mutation, ledger, rng)
     return child.unchecked(genome_id=genome_id)
 
 
-def _cross(
-    first: Parent,
-    second: Parent,
+def _are_twins(first: Genome, second: Genome, config: ReproductionConfig) -> bool:
+    same = first.genome_id == second.genome_id
+    return same or compatibility(first, second, config.distance) == 0.0
+
+
+def roulette(shares: ArrayLike, rng: np.random.Generator) -> int:
+    """An index with probability proportional to its share, uniform if all are 0."""
+    bounds = np.add.accumulate(shares, dtype=np.float64)
+    if not bounds[-1] > 0.0:
+        return int(rng.integers(bounds.size))
+    index = bounds.searchsorted(rng.random() * bounds[-1], side="right")
+    # Rounding can lift the ball to the very end: the last share above 0 catches it there.
+    return int(min(index, bounds.searchsorted(bounds[-1])))
+
+
+def choose_parents(
+    species: Sequence[Species],
+    fitness: NDArray[np.float64],
+    eligible: NDArray[np.bool_],
     config: ReproductionConfig,
     rng: np.random.Generator,
-    *,
-    interspecies: bool,
-) -> Genome:
-    cross = multipoint if rng.random() < config.multipoint_prob else multipoint_average
-    crossover = with_all_genes(config.crossover) if interspecies else config.crossover
-    fitter = first_is_fitter(first.genome, second.genome, first.fitness, second.fitness)
-    return cross(first.genome, second.genome, fitter, crossover, rng)
+) -> tuple[tuple[int, ...], bool]:
+    """Slots of one or two parents, and whether these are of different species.
+
+    A species is drawn by the mean fitness of its eligible members, parents by fitness among
+    them; among all members, uniformly, where none is eligible. The only candidate of a species
+    breeds alone. The species is ranked, so that its fittest member represents it from now on,
+    as in OpenNERO. A mate from outside is the fittest of another species. All species must have
+    members, and those that are not eligible [slots] fitness 0 [slots].
+    """
+    able = [one.members[eligible[one.members]] for one in species]
+    chosen = roulette([_mean_or_zero(fitness[slots]) for slots in able], rng)
+    home = species[chosen]
+    home.rank(fitness)
+    pool = able[chosen] if able[chosen].size else home.members
+    shares = fitness[pool]
+    first = int(pool[roulette(shares, rng)])
+    if rng.random() < config.mutate_only_prob or pool.size == 1:
+        return (first,), False
+    others = [one for one in species if one is not home]
+    if rng.random() < config.interspecies_mate_prob and others:
+        mates = others[int(rng.integers(len(others)))].members
+        return (first, int(mates[fitness[mates].argmax()])), True
+    return (first, int(pool[roulette(shares, rng)])), False
 
 
-def _are_twins(first: Parent, second: Parent, config: ReproductionConfig) -> bool:
-    if first.genome.genome_id == second.genome.genome_id:
-        return True
-    return compatibility(first.genome, second.genome, config.distance) == 0.0
+def _mean_or_zero(values: NDArray[np.float64]) -> float:
+    """The mean as `values.mean()` does, at a third of its cost; 0 if there are none."""
+    return float(np.add.reduce(values) / values.size) if values.size else 0.0

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from neatq_torch.genome import (
-    DistanceConfig,
-    Genome,
-    LinkTable,
-    compatibility,
-    first_compatible,
-)
+from neatq_torch.genome import DistanceConfig, Genome, LinkTable, compatibility, first_compatible
+from neatq_torch.kinds import ConfigError, check_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,19 +32,10 @@ class SpeciesConfig:
     adjust_every: int = 5
 
     def __post_init__(self) -> None:
-        """Check every value."""
+        check_fields(self, step="[0, inf]", target="[1, inf]", adjust_every="[1, inf]")
         if not 0.0 < self.floor <= self.threshold:
-            raise ValueError(
-                f"expected 0 < floor <= threshold, got floor {self.floor} and threshold "
-                f"{self.threshold}."
-            )
-        if self.target < 1 or self.adjust_every < 1:
-            raise ValueError(
-                f"target and adjust_every must be at least 1, not {self.target} and "
-                f"{self.adjust_every}."
-            )
-        if self.step < 0.0:
-            raise ValueError(f"step must be >= 0, not {self.step}.")
+            got = f"floor {self.floor} and threshold {self.threshold}"
+            raise ConfigError(f"expected 0 < floor <= threshold, got {got}.")
 
 
 @dataclass
@@ -58,10 +44,6 @@ class Species:
 
     species_id: int
     members: NDArray[np.int64]
-
-    def representative(self, genomes: Sequence[Genome]) -> Genome:
-        """Return the genome that newcomers are compared with."""
-        return genomes[self.members[0]]
 
     def rank(self, fitness: NDArray[np.float64]) -> None:
         """Sort members by fitness [slots], the fittest first, which then represents them."""
@@ -72,7 +54,6 @@ class Speciation:
     """All species of one population, in the order they were founded."""
 
     def __init__(self, config: SpeciesConfig, distance: DistanceConfig) -> None:
-        """Start without species; `add` founds them."""
         self.config = config
         self.distance = distance
         self.species: list[Species] = []
@@ -80,17 +61,10 @@ class Speciation:
         self._founded = 0
         self._offspring = 0
         self._links = LinkTable()
-        self._changed: set[int] = set()
-
-    def of(self, slot: int) -> Species:
-        """Return the species that the slot belongs to; KeyError if it belongs to none."""
-        for species in self.species:
-            if slot in species.members:
-                return species
-        raise KeyError(f"slot {slot} belongs to no species.")
+        self._written: dict[int, Genome] = {}
 
     def sizes(self, slots: int) -> NDArray[np.int64]:
-        """Return for each of [slots] how many members its species has."""
+        """How many members the species of each slot has, int64 [slots]."""
         sizes = np.ones(slots, dtype=np.int64)
         for species in self.species:
             sizes[species.members] = species.members.size
@@ -98,54 +72,49 @@ class Speciation:
 
     def add(self, slot: int, genomes: Sequence[Genome]) -> Species:
         """Put a slot into the first compatible species, or found one for it."""
-        self.changed(slot)
         for species in self.species:
-            apart = compatibility(genomes[slot], species.representative(genomes), self.distance)
+            apart = compatibility(genomes[slot], genomes[species.members[0]], self.distance)
             if apart < self.threshold:
                 species.members = np.append(species.members, slot)
                 return species
         return self._found([slot])
 
-    def changed(self, slot: int) -> None:
-        """Note that a slot has another genome, or its genome other weights, than before."""
-        self._changed.add(slot)
-
     def remove(self, slot: int) -> None:
         """Take a slot out of its species; a species without members vanishes."""
-        species = self.of(slot)
-        species.members = species.members[species.members != slot]
-        if not species.members.size:
-            self.species.remove(species)
+        for species in self.species:
+            if slot in species.members:
+                species.members = species.members[species.members != slot]
+                if not species.members.size:
+                    self.species.remove(species)
+                return
+        raise KeyError(f"slot {slot} belongs to no species.")
 
     def count_offspring(self, genomes: Sequence[Genome], order: ArrayLike) -> None:
-        """Note one offspring; every `adjust_every` of them move the threshold and reassign.
+        """Note one offspring among the genomes [slots].
 
-        Args:
-            genomes: [slots] all genomes, the offspring included.
-            order: [slots] slots in the order in which they are reassigned.
+        Every `adjust_every` of them the threshold moves, and every slot, one after the other in
+        the `order` [slots], to the first species that it is compatible with.
         """
         self._offspring += 1
         if self._offspring % self.config.adjust_every:
             return
         self.move_threshold()
-        self._reassign(genomes, np.asarray(order, dtype=np.int64))
+        groups, order = [one.members for one in self.species], np.asarray(order, dtype=np.int64)
+        slots = [one for one in order.tolist() if self._written.get(one) is not genomes[one]]
+        self._written |= {slot: genomes[slot] for slot in slots}
+        self._links.write(slots, [genomes[slot] for slot in slots])
+        self._sort(self._links.regroup(groups, order, self.threshold, self.distance))
 
     def renew(self, genomes: Sequence[Genome], representatives: Sequence[Genome]) -> None:
         """Sort a whole new generation into species.
 
-        Every genome joins the first species whose representative it is compatible with, or founds
-        one. A species that nobody joins vanishes.
-
-        Args:
-            genomes: [slots] the generation, sorted in the order of its slots.
-            representatives: one for each species, from the generation before.
+        Every genome [slots], one after the other, joins the first species whose representative,
+        of the generation before, it is compatible with, or founds one. A species that nobody joins
+        vanishes.
         """
         home = first_compatible(genomes, representatives, self.threshold, self.distance)
-        for species in range(len(self.species), int(home.max()) + 1):
-            self._found(np.flatnonzero(home == species))
-        for index, species in enumerate(self.species):
-            species.members = np.flatnonzero(home == index)
-        self.species = [species for species in self.species if species.members.size]
+        groups = max(len(self.species), int(home.max()) + 1)
+        self._sort([np.flatnonzero(home == group) for group in range(groups)])
 
     def move_threshold(self) -> None:
         """Move the threshold by one step, up if there are too many species, down if too few."""
@@ -153,13 +122,8 @@ class Speciation:
         moved = self.threshold + surplus * self.config.step
         self.threshold = max(moved, self.config.floor)
 
-    def _reassign(self, genomes: Sequence[Genome], order: NDArray[np.int64]) -> None:
-        """Move every slot to the first species it is compatible with, one after the other."""
-        changed = list(self._changed)
-        self._links.write(changed, [genomes[slot] for slot in changed])
-        self._changed.clear()
-        groups = [species.members for species in self.species]
-        groups = self._links.regroup(groups, order, self.threshold, self.distance)
+    def _sort(self, groups: Sequence[NDArray[np.int64]]) -> None:
+        """Give these members to the species and to new ones; a species without any vanishes."""
         for species, members in zip(self.species, groups, strict=False):
             species.members = members
         for members in groups[len(self.species) :]:
@@ -172,7 +136,7 @@ class Speciation:
         return self.species[-1]
 
     def state_dict(self) -> dict[str, Any]:
-        """Return species, threshold and counters as JSON values."""
+        """Species, threshold and counters as JSON values."""
         return {
             "species": [[one.species_id, one.members.tolist()] for one in self.species],
             "threshold": self.threshold,
@@ -180,18 +144,11 @@ class Speciation:
             "offspring": self._offspring,
         }
 
-    @classmethod
-    def from_state(
-        cls, config: SpeciesConfig, distance: DistanceConfig, state: Mapping[str, Any]
-    ) -> Self:
-        """Return what `state_dict` described."""
-        speciation = cls(config, distance)
-        speciation.species = [
-            Species(key, np.array(members, dtype=np.int64)) for key, members in state["species"]
-        ]
-        for species in speciation.species:
-            speciation._changed.update(species.members.tolist())
-        speciation.threshold = state["threshold"]
-        speciation._founded = state["founded"]
-        speciation._offspring = state["offspring"]
-        return speciation
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """Take over what `state_dict` gave."""
+        species = state["species"]
+        self.species = [Species(key, np.array(members, np.int64)) for key, members in species]
+        self._written.clear()
+        self.threshold = state["threshold"]
+        self._founded = state["founded"]
+        self._offspring = state["offspring"]

@@ -1,155 +1,169 @@
-"""What robots earned: rewards summed over trials, trials averaged, averages turned to fitness."""
+"""What robots earned: rewards summed over trials, averaged, and turned to fitness."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from collections.abc import Iterable, Mapping
+from copy import deepcopy
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-TrialAverage = Literal["opennero", "exponential"]
 
 
 class Trials:
     """Ages, reward sums of the running trials and averages over closed ones.
 
-    A trial of a robot closes whenever its age reaches a multiple of `trial_ticks`.
-    With "opennero" the average after the trials s1, s2, s3 is s1, then s1 + s2/2 (not the
-    mean), then half of that plus s3/2; with "exponential" it is s1, then always half of the
-    old average plus half of the new trial.
+    A trial closes whenever the age of its slot reaches a multiple of `trial_ticks`; its value is
+    the sum of its rewards. The average after the trials s1, s2, s3 is OpenNERO's: s1, then
+    s1 + s2/2 (not the mean), then half of that plus s3/2.
+
+    With `trial_episodes` a trial closes with the last tick of so many episodes instead, and its
+    value is their mean sum. The average is s1, then always half of the old plus half of the new.
 
     Attributes:
-        age_ticks: int64 [robots].
-        sums: float64 [robots, dimensions], rewards of the running trial.
-        averages: float64 [robots, dimensions], over closed trials; 0 before the first.
-        closed: int64 [robots], number of closed trials.
-        counted: int64 [robots], ticks of the running trial that count.
+        age_ticks: int64 [slots].
+        sums: float64 [slots, dimensions], rewards of the running trial.
+        averages: float64 [slots, dimensions], over closed trials; 0 before the first.
+        latest: float64 [slots, dimensions], value of the last closed trial; 0 before the first.
+        closed: int64 [slots], number of closed trials.
+        running: int64 [slots], ticks of the running trial.
+        counted: int64 [slots], those of them that count.
+        ended: int64 [slots], episodes of the running trial that ended.
+        total: closed trials of all that ever lived.
     """
 
+    ARRAYS = ("age_ticks", "sums", "averages", "latest", "closed", "running", "counted", "ended")
+    KEPT = (*ARRAYS, "total")
+
     def __init__(
-        self, robots: int, dimensions: int, trial_ticks: int, average: TrialAverage
+        self, slots: int, dimensions: int, trial_ticks: int, trial_episodes: int | None = None
     ) -> None:
-        """Start with robots of age 0."""
-        self.trial_ticks = trial_ticks
-        self.average: TrialAverage = average
-        self.age_ticks = np.zeros(robots, dtype=np.int64)
-        self.sums = np.zeros((robots, dimensions))
-        self.averages = np.zeros((robots, dimensions))
-        self.closed = np.zeros(robots, dtype=np.int64)
-        self.counted = np.zeros(robots, dtype=np.int64)
+        self.by_ticks, self.length = trial_episodes is None, trial_episodes or trial_ticks
+        self.sums, self.averages, self.latest = np.zeros((3, slots, dimensions))
+        counters = np.zeros((5, slots), dtype=np.int64)
+        self.age_ticks, self.closed, self.running, self.counted, self.ended = counters
+        self.total = 0
 
-    @property
-    def eligible(self) -> NDArray[np.bool_]:
-        """Bool [robots], whether the robot has lived through its first trial."""
-        return self.age_ticks >= self.trial_ticks
+    def record(
+        self, rewards: ArrayLike, done: ArrayLike | None = None, counts: ArrayLike | None = None
+    ) -> NDArray[np.bool_]:
+        """Add rewards, see `Population.record`; the ticks with which a trial closes [slots, ticks].
 
-    def record(self, rewards: ArrayLike, counts: ArrayLike | None = None) -> None:
-        """Add rewards; how they are cut into batches is no matter.
-
-        Args:
-            rewards: [robots, ticks, dimensions].
-            counts: bool [robots, ticks], the ticks that count; those that do not are taken to have
-                brought as much as the others of the trial on average, or nothing where none
-                counts. None if all count.
-
-        Raises:
-            ValueError: a shape is wrong or a reward is not finite.
+        Only trials made of episodes look at `done`. Ticks that do not count are taken to have
+        brought as much as the others of the trial on average, or nothing where none counts.
         """
-        rewards = np.asarray(rewards, dtype=np.float64)
-        robots, dimensions = self.sums.shape
-        if rewards.ndim != 3 or rewards.shape[::2] != (robots, dimensions):
-            raise ValueError(
-                f"rewards must have the shape [robots = {robots}, ticks, dimensions = "
-                f"{dimensions}], not {list(rewards.shape)}."
-            )
-        if not np.isfinite(rewards).all():
-            robot, tick, dimension = np.argwhere(~np.isfinite(rewards))[0]
-            raise ValueError(
-                f"reward {rewards[robot, tick, dimension]} of robot {robot}, tick {tick}, "
-                f"dimension {dimension} is not finite."
-            )
-        shape = rewards.shape[:2]
-        counts = np.ones(shape, bool) if counts is None else np.asarray(counts, bool)
-        if counts.shape != shape:
-            raise ValueError(
-                f"counts must have the shape [robots, ticks] = {list(shape)}, not "
-                f"{list(counts.shape)}."
-            )
+        slots, dimensions = self.sums.shape
+        rewards = checked("rewards", rewards, slots=slots, ticks=None, dimensions=dimensions)
+        slots, ticks = shape = rewards.shape[:2]
+        counts = np.ones(shape) if counts is None else counts
+        counts = checked("counts", counts, bool, slots=slots, ticks=ticks)
         rewards = np.where(counts[..., None], rewards, 0.0)
-        start = 0
-        for end in self._borders(rewards.shape[1]):
+        # Every tick is done with where ticks make a trial.
+        done = np.ones(shape) if self.by_ticks else done
+        done = checked("done", done, bool, slots=slots, ticks=ticks)
+        before = self.running if self.by_ticks else self.ended
+        ended = before[:, None] + np.add.accumulate(done, axis=1, dtype=np.int64)
+        closing = done & (ended % self.length == 0)
+        if ticks and not self.by_ticks:
+            self.ended = ended[:, -1] % self.length
+        borders = np.flatnonzero(closing.any(axis=0)) + 1
+        for start, end in pairwise(sorted({0, *borders.tolist(), ticks})):
+            # Adding strictly one after the other (not in pairs, as a sum over an axis may do)
+            # makes the result the same for every cut into batches.
+            parts = np.concatenate([self.sums[:, None], rewards[:, start:end]], axis=1)
+            self.sums = np.add.accumulate(parts, axis=1)[:, -1]
             self.counted += np.count_nonzero(counts[:, start:end], axis=1)
-            self._advance(rewards[:, start:end])
-            start = end
+            self.running += end - start
+            self.age_ticks += end - start
+            self._close(np.flatnonzero(closing[:, end - 1]))
+        return closing
 
-    def _borders(self, ticks: int) -> list[int]:
-        """Return the ticks of a batch at which some trial closes, and its end."""
-        first = self.trial_ticks - self.age_ticks % self.trial_ticks
-        closing = first[:, None] + np.arange(0, ticks, self.trial_ticks)
-        ends = set(closing[closing <= ticks].tolist())
-        return sorted(ends | {ticks}) if ticks else []
-
-    def _advance(self, rewards: NDArray[np.float64]) -> None:
-        # Adding strictly one after the other (not in pairs, as a sum over an axis may do)
-        # makes the result the same for every cut into batches.
-        parts = np.concatenate([self.sums[:, None], rewards], axis=1)
-        self.sums = np.add.accumulate(parts, axis=1)[:, -1]
-        self.age_ticks += rewards.shape[1]
-        closing = np.flatnonzero(self.age_ticks % self.trial_ticks == 0)
-        if closing.size:
-            self._close(closing)
-
-    def _close(self, robots: NDArray[np.intp]) -> None:
-        self.closed[robots] += 1
-        closed = self.closed[robots, None]
+    def _close(self, slots: NDArray[np.intp]) -> None:
+        self.total += slots.size
+        self.closed[slots] += 1
+        closed, old = self.closed[slots, None], self.averages[slots]
         # A factor of exactly 1 where all ticks count.
-        whole = self.trial_ticks / self.counted[robots, None].clip(1)
-        sums, old = self.sums[robots] * whole, self.averages[robots]
-        moved = old + (sums - old) / 2
-        if self.average == "opennero":
-            self.averages[robots] = np.where(closed <= 2, old + sums / closed, moved)
-        else:
-            self.averages[robots] = np.where(closed == 1, sums, moved)
-        self.sums[robots] = 0.0
-        self.counted[robots] = 0
+        whole = self.running[slots, None] / self.counted[slots, None].clip(1)
+        value = self.sums[slots] * whole / (1 if self.by_ticks else self.length)
+        added = closed <= (2 if self.by_ticks else 1)
+        self.averages[slots] = np.where(added, old + value / closed, old + (value - old) / 2)
+        self.latest[slots] = value
+        self.sums[slots], self.running[slots], self.counted[slots] = 0.0, 0, 0
 
-    def reset(self, robot: int) -> None:
+    def reset(self, slot: int) -> None:
         """Start a new life in a slot: nothing of the old one is left."""
-        self.age_ticks[robot] = 0
-        self.sums[robot] = 0.0
-        self.averages[robot] = 0.0
-        self.closed[robot] = 0
-        self.counted[robot] = 0
+        for name in self.ARRAYS:
+            getattr(self, name)[slot] = 0
 
     def state_dict(self) -> dict[str, Any]:
-        """Return copies of the arrays."""
-        return {
-            "age_ticks": self.age_ticks.copy(),
-            "sums": self.sums.copy(),
-            "averages": self.averages.copy(),
-            "closed": self.closed.copy(),
-            "counted": self.counted.copy(),
-        }
+        """Copies of the arrays, and the total."""
+        return state_of(self, self.KEPT)
 
     def load_state(self, state: Mapping[str, Any]) -> None:
         """Take over what `state_dict` gave; ValueError if the population is of another size."""
-        # Where nothing is said of it, all ticks of the running trial counted.
-        counted = np.array(state["age_ticks"], dtype=np.int64) % self.trial_ticks
-        state = {"counted": counted, **state}
-        for name in ("age_ticks", "sums", "averages", "closed", "counted"):
-            own = getattr(self, name)
-            array = np.array(state[name], dtype=own.dtype)
-            if array.shape != own.shape:
-                raise ValueError(
-                    f"state of {name} must have the shape {list(own.shape)}, not "
-                    f"{list(array.shape)}."
-                )
-            setattr(self, name, array)
+        restore(self, self.KEPT, state)
+
+
+def state_of(owner: object, names: Iterable[str]) -> dict[str, Any]:
+    """These attributes as a state: copies of arrays, and of parts what their `state_dict` gives."""
+    state: dict[str, Any] = {}
+    for name in names:
+        value = getattr(owner, name)
+        state[name] = value.state_dict() if hasattr(value, "state_dict") else deepcopy(value)
+    return state
+
+
+def restore(owner: object, names: Iterable[str], state: Mapping[str, Any]) -> None:
+    """Take over what `state_of` gave; ValueError if an array of one's own has another shape."""
+    for name in names:
+        own, value = getattr(owner, name), state[name]
+        if hasattr(own, "load_state"):
+            own.load_state(value)
+        elif isinstance(own, np.ndarray):
+            value = np.array(value, dtype=own.dtype)
+            if value.shape != own.shape:
+                shapes = f"{list(own.shape)}, got {list(value.shape)}"
+                raise ValueError(f"state of {name}: expected the shape {shapes}.")
+            setattr(owner, name, value)
+        else:
+            setattr(owner, name, value)
+
+
+def checked(
+    name: str,
+    values: ArrayLike | None,
+    dtype: type = np.float64,
+    mend: str = "",
+    **axes: int | None,
+) -> NDArray[Any]:
+    """Values as an array with these axes, of which None has any length.
+
+    Raises:
+        ValueError: its shape is another, or a number is not finite; the message ends with `mend`.
+    """
+    array = None if values is None else np.asarray(values, dtype)
+    lengths = [] if array is None else list(array.shape)
+    same = (want in (None, length) for want, length in zip(axes.values(), lengths, strict=False))
+    if array is None or len(lengths) != len(axes) or not all(same):
+        shape = ", ".join(one if long is None else f"{one} = {long}" for one, long in axes.items())
+        got = "nothing" if array is None else lengths
+        raise ValueError(f"{name}: expected the shape [{shape}], got {got}.{mend}")
+    if not np.isfinite(array).all():
+        at = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+        where = ", ".join(f"{one[:-1]} {i}" for one, i in zip(axes, at, strict=True))
+        raise ValueError(f"{name}: expected finite numbers, got {array[at]} of {where}.{mend}")
+    return array
+
+
+def weighted(rewards: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rewards [..., dimensions] summed by their weights [dimensions], one after the other."""
+    # Unlike a matrix product, always in the same order, whatever stands beside.
+    return np.add.accumulate(rewards * weights, axis=-1)[..., -1]
 
 
 def z_scores(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (x - mean) / std over [samples, dimensions]; 0 where all samples are equal.
+    """(x - mean) / std over [samples, dimensions]; 0 where all samples are equal.
 
     The standard deviation is that of the population, not the estimate from a sample.
     """
@@ -167,9 +181,9 @@ def relative_fitness(
     eligible: NDArray[np.bool_],
     reward_weights: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return fitness float64 [robots] >= 0 from averages [robots, dimensions].
+    """Fitness float64 [slots] >= 0 from averages [slots, dimensions].
 
-    The score of an eligible robot is its z-scores among them, weighted by `reward_weights`
+    The score of an eligible slot is its z-scores among them, weighted by `reward_weights`
     [dimensions]; fitness is the score above the lowest, so the worst has 0. Others have 0.
     """
     fitness = np.zeros(eligible.size)

@@ -6,28 +6,20 @@ from neatq_torch.genome.crossover import (
     multipoint,
     multipoint_average,
 )
-from neatq_torch.genome.distance import (
-    DistanceConfig,
-    LinkTable,
-    compatibility,
-    first_compatible,
-)
+from neatq_torch.genome.distance import DistanceConfig, LinkTable, compatibility, first_compatible
 from neatq_torch.genome.genome import (
-    ACTIVATIONS,
     Genome,
-    GenomeError,
-    NodeKind,
     identical,
     load_genome,
+    pack_genomes,
     save_genome,
+    unpack_genomes,
 )
-from neatq_torch.genome.graph import node_levels, reaches
+from neatq_torch.genome.graph import node_levels
 from neatq_torch.genome.initial import initial_genome, layered_genome, random_genome
-from neatq_torch.genome.innovation import InnovationLedger, LinkInnovation, Split
-from neatq_torch.genome.mutation import ScalesOf, mutate, mutate_weights
-from neatq_torch.genome.mutation_config import MutationConfig
-from neatq_torch.genome.pack import pack_genomes, unpack_genomes
-from neatq_torch.genome.structural import add_link, add_node, reenable, toggle_enable
+from neatq_torch.genome.innovation import InnovationLedger
+from neatq_torch.genome.mutation import MutationConfig, add_link, add_node, mutate
+from neatq_torch.genome.rules import ACTIVATIONS, GenomeError, NodeKind
 
 __all__ = [
     "ACTIVATIONS",
@@ -36,12 +28,9 @@ __all__ = [
     "Genome",
     "GenomeError",
     "InnovationLedger",
-    "LinkInnovation",
     "LinkTable",
     "MutationConfig",
     "NodeKind",
-    "ScalesOf",
-    "Split",
     "add_link",
     "add_node",
     "compatibility",
@@ -54,13 +43,9 @@ __all__ = [
     "multipoint",
     "multipoint_average",
     "mutate",
-    "mutate_weights",
     "node_levels",
     "pack_genomes",
     "random_genome",
-    "reaches",
-    "reenable",
     "save_genome",
-    "toggle_enable",
     "unpack_genomes",
 ]

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from neatq_torch.genome.genome import Genome, GenomeError
+from neatq_torch.genome.genome import Genome
 from neatq_torch.genome.graph import node_levels
-from neatq_torch.genome.innovation import matching
-from neatq_torch.genome.validation import LINK_FIELDS, NODE_FIELDS
+from neatq_torch.genome.rules import LINK_FIELDS, NODE_FIELDS, GenomeError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,11 +34,9 @@ class CrossoverConfig:
 
     def __post_init__(self) -> None:
         """Check every value."""
-        if not 0.0 <= self.inherit_disabled_prob <= 1.0:
-            raise ValueError(
-                "inherit_disabled_prob must be a probability in [0, 1], not "
-                f"{self.inherit_disabled_prob}."
-            )
+        prob = self.inherit_disabled_prob
+        if not 0.0 <= prob <= 1.0:
+            raise ValueError(f"inherit_disabled_prob must be a probability in [0, 1], not {prob}.")
 
 
 def first_is_fitter(
@@ -57,92 +54,73 @@ def multipoint(
     first_fitter: bool,
     config: CrossoverConfig,
     rng: np.random.Generator,
+    *,
+    average: bool = False,
 ) -> Genome:
-    """Return a child with each matching gene from either parent with equal chance."""
-    genes = _lined_up(first, second)
-    from_second = rng.random(genes.in_first.size) < 0.5
-    weight = np.where(from_second, genes.second_weight, genes.first_weight)
-    enabled = _inherited_enabled(genes, config, rng)
-    if config.copy_disabled:
-        enabled &= np.where(from_second, genes.second_enabled, genes.first_enabled)
-    return _child(first, second, genes, (weight, enabled), first_fitter, config)
+    """Return a child with each matching gene from either parent with equal chance.
 
-
-def multipoint_average(
-    first: Genome,
-    second: Genome,
-    first_fitter: bool,
-    config: CrossoverConfig,
-    rng: np.random.Generator,
-) -> Genome:
-    """Return a child whose matching genes have the mean of its parents' weights."""
-    genes = _lined_up(first, second)
-    # Halves are added, as the sum of two large float32 weights could overflow.
-    weight = genes.first_weight / 2 + genes.second_weight / 2
-    enabled = _inherited_enabled(genes, config, rng)
-    return _child(first, second, genes, (weight, enabled), first_fitter, config)
-
-
-class _LinedUp(NamedTuple):
-    """Where the matching genes lie, and what they say in each parent."""
-
-    in_first: NDArray[np.intp]
-    in_second: NDArray[np.intp]
-    first_weight: NDArray[np.float32]
-    second_weight: NDArray[np.float32]
-    first_enabled: NDArray[np.bool_]
-    second_enabled: NDArray[np.bool_]
-
-
-def _lined_up(first: Genome, second: Genome) -> _LinedUp:
+    With `average`, the weights of matching genes are the mean of the parents' instead.
+    """
     same_world = first.observation_schema == second.observation_schema
     if not same_world or first.interface != second.interface:
         raise GenomeError(
             f"genomes {first.genome_id} and {second.genome_id} differ in their observation "
             "schema, input, bias or output nodes; only genomes with the same ones can mate."
         )
-    in_first, in_second = matching(first.link_innovation, second.link_innovation)
-    return _LinedUp(
-        in_first,
-        in_second,
-        first.link_weight[in_first],
-        second.link_weight[in_second],
-        first.link_enabled[in_first],
-        second.link_enabled[in_second],
+    parents = first, second
+    matched = matching(first.link_innovation, second.link_innovation)
+    weights = [one.link_weight[at] for one, at in zip(parents, matched, strict=True)]
+    switches = [one.link_enabled[at] for one, at in zip(parents, matched, strict=True)]
+    matches = matched[0].size
+    from_second = np.zeros(matches, bool) if average else rng.random(matches) < 0.5
+    spared = rng.random(matches) >= config.inherit_disabled_prob
+    on = (switches[0] & switches[1]) | spared
+    if average:
+        # Halves are added, as the sum of two large float32 weights could overflow.
+        inherited = weights[0] / 2 + weights[1] / 2
+    else:
+        inherited = np.where(from_second, weights[1], weights[0])
+        if config.copy_disabled:
+            on &= np.where(from_second, switches[1], switches[0])
+    fitter, other = (0, 1) if first_fitter else (1, 0)
+    weight, enabled = parents[fitter].link_weight.copy(), parents[fitter].link_enabled.copy()
+    weight[matched[fitter]], enabled[matched[fitter]] = inherited, on
+    child = parents[fitter].unchecked(
+        genome_id=first.genome_id, link_weight=weight, link_enabled=enabled
     )
-
-
-def _inherited_enabled(
-    genes: _LinedUp, config: CrossoverConfig, rng: np.random.Generator
-) -> NDArray[np.bool_]:
-    spared = rng.random(genes.in_first.size) >= config.inherit_disabled_prob
-    return (genes.first_enabled & genes.second_enabled) | spared
-
-
-def _child(
-    first: Genome,
-    second: Genome,
-    genes: _LinedUp,
-    inherited: tuple[NDArray[Any], NDArray[np.bool_]],
-    first_fitter: bool,
-    config: CrossoverConfig,
-) -> Genome:
-    """Return the child with the matching genes' (weights, enabled) and the extra genes."""
-    fitter, at = (first, genes.in_first) if first_fitter else (second, genes.in_second)
-    weight, enabled = fitter.link_weight.copy(), fitter.link_enabled.copy()
-    weight[at], enabled[at] = inherited
-    child = fitter.unchecked(genome_id=first.genome_id, link_weight=weight, link_enabled=enabled)
-    other, other_at = (second, genes.in_second) if first_fitter else (first, genes.in_first)
-    if not config.keep_all_genes or other_at.size == other.link_innovation.size:
+    if not config.keep_all_genes or matches == parents[other].link_innovation.size:
         return child
-    return _with_extra_genes(child, other) or child
+    return _with_extra_genes(child, parents[other]) or child
+
+
+multipoint_average = partial(multipoint, average=True)
+
+
+@njit(cache=True)
+def matching(
+    first: NDArray[np.int64], second: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the indices [matches] into two sorted lists of innovations that both have."""
+    in_first = np.empty(min(first.size, second.size), np.int64)
+    in_second = np.empty_like(in_first)
+    i = j = matches = 0
+    while i < first.size and j < second.size:
+        if first[i] == second[j]:
+            in_first[matches], in_second[matches] = i, j
+            matches += 1
+        step_first, step_second = first[i] <= second[j], second[j] <= first[i]
+        i += step_first
+        j += step_second
+    return in_first[:matches], in_second[:matches]
 
 
 def _with_extra_genes(child: Genome, other: Genome) -> Genome | None:
     """Return the child with another genome's extra genes too; None if that makes a cycle."""
-    place, new = _joined_nodes(child.node_id, other.node_id)
-    source = np.concatenate((child.source_index, place[other.source_index]))
-    target = np.concatenate((child.target_index, place[other.target_index]))
+    joined = child.node_index(other.node_id)
+    new = np.flatnonzero(child.node_id[joined] != other.node_id)
+    joined[new] = child.node_id.size + np.arange(new.size)
+    source = np.concatenate((child.source_index, joined[other.source_index]))
+    target = np.concatenate((child.target_index, joined[other.target_index]))
     links = {
         name: np.concatenate((getattr(child, name), getattr(other, name))) for name in LINK_FIELDS
     }
@@ -155,46 +133,17 @@ def _with_extra_genes(child: Genome, other: Genome) -> Genome | None:
         return None
     used = np.zeros(nodes, dtype=bool)
     used[source] = used[target] = used[: child.node_id.size] = True
-    index = used.cumsum() - 1
+    index, new = used.cumsum() - 1, new[used[child.node_id.size :]]
+    node_columns = {
+        name: np.concatenate((getattr(child, name), getattr(other, name)[new]))
+        for name in (NODE_FIELDS if new.size else ())
+    }
     return child.unchecked(
         **{name: column[kept] for name, column in links.items()},
-        **_with_nodes(child, other, new[used[child.node_id.size :]]),
+        **node_columns,
         source_index=index[source],
         target_index=index[target],
     )
-
-
-def _with_nodes(child: Genome, other: Genome, new: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-    """Return the child's node columns and behind them the `new` ones of another genome."""
-    if not new.size:
-        return {}
-    return {
-        name: np.concatenate((getattr(child, name), getattr(other, name)[new]))
-        for name in NODE_FIELDS
-    }
-
-
-@njit(cache=True)
-def _joined_nodes(
-    own: NDArray[np.int32], other: NDArray[np.int32]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Append another genome's new nodes to one's own, both given as ids.
-
-    Returns:
-        The index among all nodes of each of the `other` nodes, and which of these are new.
-    """
-    place, new = np.empty(other.size, np.int64), np.empty(other.size, np.int64)
-    count = 0
-    for one in range(other.size):
-        known = 0
-        while known < own.size and own[known] != other[one]:
-            known += 1
-        place[one] = known
-        if known == own.size:
-            place[one] += count
-            new[count] = one
-            count += 1
-    return place, new[:count]
 
 
 @njit(cache=True)
@@ -225,8 +174,3 @@ def _without_rivals(
             if recurrent[old] == recurrent[new] and (same or (opposite and not recurrent[old])):
                 gone[new if old < older else old] = True
     return np.flatnonzero(~gone)
-
-
-def with_all_genes(config: CrossoverConfig) -> CrossoverConfig:
-    """Return the config for parents of different species: all genes pass, as in OpenNERO."""
-    return config if config.keep_all_genes else replace(config, keep_all_genes=True)

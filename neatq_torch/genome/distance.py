@@ -14,9 +14,9 @@ from neatq_torch.genome.genome import Genome
 
 SMALL_GENOME_LINKS = 20
 
-Innovations = NDArray[np.int64]
+Markings = NDArray[np.int64]
 Weights = NDArray[np.float32]
-Rows = NDArray[np.int64]
+Slots = NDArray[np.int64]
 Coefficients = tuple[float, float, float, float]
 
 
@@ -55,14 +55,8 @@ def compatibility(a: Genome, b: Genome, config: DistanceConfig) -> float:
 
     A gene is excess if it lies beyond the last gene of the other genome, else disjoint.
     """
-    return _distance(
-        a.link_innovation,
-        a.link_weight,
-        b.link_innovation,
-        b.link_weight,
-        config.coefficients,
-        np.inf,
-    )
+    first, second = (a.link_innovation, a.link_weight), (b.link_innovation, b.link_weight)
+    return _distance(*first, *second, config.coefficients, np.inf)
 
 
 def first_compatible(
@@ -73,31 +67,27 @@ def first_compatible(
 ) -> NDArray[np.int64]:
     """Sort genomes, one after the other, into the first group that each is compatible with.
 
-    Args:
-        genomes: those to sort, in this order.
-        representatives: one for each group that exists.
-        threshold: distance from which genomes are not compatible.
-        config: how distances are measured.
-
-    Returns:
-        Group of each genome, int64 [genomes]. A genome that no representative is closer to than the
-        threshold represents a new group, numbered behind the others.
+    Each representative stands for a group. A genome that none is closer to than the threshold
+    represents a new group, numbered behind the others. Returns int64 [genomes], their groups.
     """
     everybody = [*representatives, *genomes]
-    starts = np.cumsum([0, *(genome.link_weight.size for genome in everybody)])
-    innovation = np.concatenate([genome.link_innovation for genome in everybody])
-    weight = np.concatenate([genome.link_weight for genome in everybody])
-    groups = len(representatives)
-    return _sorted(innovation, weight, starts, groups, float(threshold), config.coefficients)
+    table = LinkTable()
+    table.write(range(len(everybody)), everybody)
+    genes = table.innovation, table.weight, table.links
+    leaders, order = np.split(np.arange(len(everybody)), [len(representatives)])
+    group = np.concatenate([leaders, np.full(order.size, -1)])
+    starts = np.arange(leaders.size + 1)
+    _regroup(order, group, leaders, starts, genes, float(threshold), config.coefficients)
+    return group[leaders.size :]
 
 
 class LinkTable:
-    """Innovations and weights of a population as rows that compiled code can walk along.
+    """Markings and weights of a population as rows that compiled code can walk along.
 
     Attributes:
-        innovation: int64 [genomes, columns]; a row means nothing beyond the links it has.
-        weight: float32 [genomes, columns].
-        links: int64 [genomes], how many links each genome has.
+        innovation: int64 [slots, columns]; a row means nothing beyond the links it has.
+        weight: float32 [slots, columns].
+        links: int64 [slots], how many links each genome has.
     """
 
     def __init__(self) -> None:
@@ -106,71 +96,61 @@ class LinkTable:
         self.weight = np.zeros((0, 0), dtype=np.float32)
         self.links = np.zeros(0, dtype=np.int64)
 
-    def write(self, rows: Sequence[int], genomes: Sequence[Genome]) -> None:
-        """Make the links of each genome a row, instead of those that are there."""
-        if not rows:
+    def write(self, slots: Sequence[int], genomes: Sequence[Genome]) -> None:
+        """Put the links of each genome in its slot, instead of those that are there."""
+        if not slots:
             return
         links = np.array([genome.link_weight.size for genome in genomes])
-        self._make_room(max(rows) + 1, links.max())
+        wanted = max(slots) + 1, links.max()
+        # Where there are too few slots or columns: a quarter more than needed.
+        pairs = zip(wanted, self.innovation.shape, strict=True)
+        more = [(0, want + want // 4 - had if want > had else 0) for want, had in pairs]
+        if any(new for _, new in more):
+            self.innovation, self.weight = np.pad(self.innovation, more), np.pad(self.weight, more)
+            self.links = np.pad(self.links, more[0])
         filled = np.arange(links.max()) < links[:, None]
         for table, name in ((self.innovation, "link_innovation"), (self.weight, "link_weight")):
             block = np.zeros(filled.shape, table.dtype)
             block[filled] = np.concatenate([getattr(genome, name) for genome in genomes])
-            table[rows, : links.max()] = block
-        self.links[rows] = links
+            table[slots, : links.max()] = block
+        self.links[slots] = links
 
     def regroup(
-        self,
-        groups: Sequence[Rows],
-        order: Rows,
-        threshold: float,
-        config: DistanceConfig,
-    ) -> list[Rows]:
+        self, groups: Sequence[Slots], order: Slots, threshold: float, config: DistanceConfig
+    ) -> list[Slots]:
         """Move every genome, one after the other, to the first group that it is compatible with.
 
         It is compatible with a group whose first member (at that moment) is closer than the
         threshold; without such a group it founds one behind the others.
 
         Args:
-            groups: rows of the members of each group, none of them empty.
-            order: rows in the order in which they move.
+            groups: slots of the members of each group, none of them empty.
+            order: slots in the order in which they move.
             threshold: distance from which genomes are not compatible.
             config: how distances are measured.
 
         Returns:
-            The same groups, which may be empty now, and the new ones. Who stays keeps its place,
+            The same groups, which may be empty now, and the new ones. Who stays keeps its rank,
             who comes is appended.
         """
         sizes = [members.size for members in groups]
-        rows = np.concatenate(groups)
+        slots, starts = np.concatenate(groups), np.cumsum([0, *sizes])
         old = np.full(self.links.size, -1)
-        old[rows] = np.repeat(np.arange(len(groups)), sizes)
-        group = old.copy()
+        old[slots] = np.repeat(np.arange(len(groups)), sizes)
         genes = self.innovation, self.weight, self.links
-        starts = np.cumsum([0, *sizes])
-        limit = float(threshold)
-        moved = _regroup(order, group, rows, starts, genes, limit, config.coefficients)
+        group, limit = old.copy(), float(threshold)
+        moved = _regroup(order, group, slots, starts, genes, limit, config.coefficients)
         if not moved.size:
             return list(groups)
-        rows = np.concatenate([rows[group[rows] == old[rows]], moved])
-        return [rows[group[rows] == one] for one in range(max(len(groups), group.max() + 1))]
-
-    def _make_room(self, rows: int, columns: int) -> None:
-        """See to so many rows and columns; where they are new, to a quarter more."""
-        more = [
-            (0, wanted + wanted // 4 - had if wanted > had else 0)
-            for wanted, had in zip((rows, columns), self.innovation.shape, strict=True)
-        ]
-        if any(new for _, new in more):
-            self.innovation, self.weight = np.pad(self.innovation, more), np.pad(self.weight, more)
-            self.links = np.pad(self.links, more[0])
+        slots = np.concatenate([slots[group[slots] == old[slots]], moved])
+        return [slots[group[slots] == one] for one in range(max(len(groups), group.max() + 1))]
 
 
 @njit(cache=True)
 def _distance(
-    own: Innovations,
+    own: Markings,
     own_weight: Weights,
-    other: Innovations,
+    other: Markings,
     other_weight: Weights,
     coefficients: Coefficients,
     limit: float,
@@ -206,60 +186,27 @@ def _distance(
 
 
 @njit(cache=True)
-def _sorted(
-    innovation: Innovations,
-    weight: Weights,
-    starts: Rows,
-    groups: int,
-    threshold: float,
-    coefficients: Coefficients,
-) -> Rows:
-    """Return the group of each genome; the first `groups` are the representatives of theirs."""
-    leader = np.arange(starts.size - 1)
-    group = np.empty(starts.size - 1 - groups, np.int64)
-    first = groups
-    for one in range(group.size):
-        own = slice(starts[first + one], starts[first + one + 1])
-        home = 0
-        while home < groups:
-            rival = slice(starts[leader[home]], starts[leader[home] + 1])
-            apart = _distance(
-                innovation[own],
-                weight[own],
-                innovation[rival],
-                weight[rival],
-                coefficients,
-                threshold,
-            )
-            if apart < threshold:
-                break
-            home += 1
-        if home == groups:
-            leader[home] = first + one
-            groups += 1
-        group[one] = home
-    return group
-
-
-@njit(cache=True)
 def _regroup(
-    order: Rows,
-    group: Rows,
-    rows: Rows,
-    starts: Rows,
-    genes: tuple[Innovations, Weights, Rows],
+    order: Slots,
+    group: Slots,
+    members: Slots,
+    starts: Slots,
+    genes: tuple[Markings, Weights, Slots],
     threshold: float,
     coefficients: Coefficients,
-) -> Rows:
-    """Give `group` [rows] its new values; return the rows that moved, in that order."""
+) -> Slots:
+    """Give `group` [slots] its new values; return the slots that moved, in that order.
+
+    The members of old group g are `members[starts[g] : starts[g + 1]]`; who is in none has -1.
+    """
     innovation, weight, links = genes
     groups = starts.size - 1
     leader = np.full(groups + order.size, -1)
-    leader[:groups] = rows[starts[:-1]]
+    leader[:groups] = members[starts[:-1]]
     moved = np.empty(order.size, np.int64)
     moves = 0
-    for row in order:
-        own, own_weight = innovation[row, : links[row]], weight[row, : links[row]]
+    for slot in order:
+        own, own_weight = innovation[slot, : links[slot]], weight[slot, : links[slot]]
         home = 0
         while home < groups:
             first = leader[home]
@@ -270,29 +217,20 @@ def _regroup(
                 if apart < threshold:
                     break
             home += 1
-        old = int(group[row])
+        old = int(group[slot])
         if home == old:
             continue
         if home == groups:
-            leader[home] = row
+            leader[home] = slot
             groups += 1
-        group[row] = home
-        moved[moves] = row
+        group[slot] = home
+        moved[moves] = slot
         moves += 1
-        if leader[old] == row:
+        if old >= 0 and leader[old] == slot:
             # Only old groups lose members: who has moved once stays where it is.
-            before = rows[starts[old] : starts[old + 1]]
-            leader[old] = _first_of(old, group, before, moved[:moves])
+            leader[old] = -1
+            for next_one in np.append(members[starts[old] : starts[old + 1]], moved[:moves]):
+                if group[next_one] == old:
+                    leader[old] = next_one
+                    break
     return moved[:moves]
-
-
-@njit(cache=True)
-def _first_of(one: int, group: Rows, before: Rows, moved: Rows) -> int:
-    """Return the first row of a group, those it had `before` first; -1 if it is empty."""
-    for row in before:
-        if group[row] == one:
-            return int(row)
-    for row in moved:
-        if group[row] == one:
-            return int(row)
-    return -1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,22 +13,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neatq_torch.atomic import write_atomic
-from neatq_torch.genome import codec, validation
-from neatq_torch.genome.vocabulary import ACTIVATIONS, GenomeError, NodeKind
+from neatq_torch.genome.rules import (
+    ACTIVATIONS,
+    LINK_FIELDS,
+    NODE_FIELDS,
+    GenomeError,
+    NodeKind,
+    check_genome,
+    check_weights,
+    frozen_array,
+)
 
-__all__ = [
-    "ACTIVATIONS",
-    "Genome",
-    "GenomeError",
-    "NodeKind",
-    "identical",
-    "load_genome",
-    "save_genome",
-]
-
-COLUMNS = validation.NODE_FIELDS | validation.LINK_FIELDS
+COLUMNS = NODE_FIELDS | LINK_FIELDS
 STRUCTURE = COLUMNS.keys() - {"link_weight", "link_enabled"}
 FIELDS = frozenset({"genome_id", "observation_schema", *COLUMNS})
+
+GENOME_FORMAT = "neatq-genome"
+GENOME_VERSION = 1
+TABLES = {"node": NODE_FIELDS, "link": LINK_FIELDS}
+KEYS = ("format", "version", "genome_id", "observation_schema", "nodes", "links")
+WORDS = {"node_kind": tuple(kind.name.lower() for kind in NodeKind), "node_activation": ACTIVATIONS}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -55,6 +59,10 @@ class Genome:
 
     Raises:
         GenomeError: a rule is broken; the message names the gene.
+
+    Example:
+        >>> genome = load_genome("champion.json")
+        >>> nodes, links = genome.node_id.size, genome.link_enabled.sum()
     """
 
     genome_id: int
@@ -72,9 +80,9 @@ class Genome:
     def __post_init__(self) -> None:
         """Freeze and check the arrays."""
         for name, dtype in COLUMNS.items():
-            array = validation.frozen_array(name, getattr(self, name), dtype)
+            array = frozen_array(name, getattr(self, name), dtype)
             object.__setattr__(self, name, array)
-        validation.check(self)
+        check_genome(self)
 
     @cached_property
     def node_order(self) -> NDArray[np.intp]:
@@ -107,17 +115,11 @@ class Genome:
         """Ids of the output nodes, in the order of the outputs."""
         return self.node_id[self.node_kind == NodeKind.OUTPUT]
 
-    @property
-    def bias_id(self) -> int | None:
-        """Id of the bias node, None if there is none."""
-        ids = self.node_id[self.node_kind == NodeKind.BIAS]
-        return int(ids[0]) if ids.size else None
-
     def node_index(self, ids: NDArray[np.int32]) -> NDArray[np.intp]:
         """Return the index of each node id in the node arrays; meaningless for unknown ids."""
         order = self.node_order
-        place = np.searchsorted(self.node_id, ids, sorter=order)
-        return order[np.minimum(place, order.size - 1)]
+        ranks = np.searchsorted(self.node_id, ids, sorter=order)
+        return order[np.minimum(ranks, order.size - 1)]
 
     def with_weights(self, weights: ArrayLike) -> Self:
         """Return the genome with other weights, float32 [links], kept bit for bit."""
@@ -133,7 +135,7 @@ class Genome:
             raise TypeError(f"a Genome has no field {sorted(unknown)[0]!r}.")
         if not STRUCTURE.isdisjoint(changes):
             return type(self)(**({name: getattr(self, name) for name in FIELDS} | changes))
-        for name in changes.keys() & validation.LINK_FIELDS.keys():
+        for name in changes.keys() & LINK_FIELDS.keys():
             changes[name] = self._link_column(name, changes[name])
         return self.unchecked(**changes)
 
@@ -157,33 +159,48 @@ class Genome:
         return copy
 
     def _link_column(self, name: str, value: ArrayLike) -> NDArray[Any]:
-        column = validation.frozen_array(name, value, validation.LINK_FIELDS[name])
+        column = frozen_array(name, value, LINK_FIELDS[name])
         if column.size != self.link_innovation.size:
             raise GenomeError(
                 f"{name} must have one entry for each of the genome's "
                 f"{self.link_innovation.size} links, not {column.size}."
             )
         if name == "link_weight":
-            validation.check_weights(self.link_innovation, column)
+            check_weights(self.link_innovation, column)
         return column
-
-    def same_genes(self, other: Genome) -> bool:
-        """Tell whether both have the same nodes and links; weights and enabled may differ."""
-        return all(_equal(getattr(self, name), getattr(other, name)) for name in STRUCTURE)
 
     def same_structure(self, other: Genome) -> bool:
         """Tell whether both differ in genome id and weights at most."""
-        same = self.observation_schema == other.observation_schema and self.same_genes(other)
-        return same and _equal(self.link_enabled, other.link_enabled)
+        schemas = self.observation_schema == other.observation_schema
+        return schemas and all(
+            np.array_equal(getattr(self, name), getattr(other, name))
+            for name in STRUCTURE | {"link_enabled"}
+        )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the genome as JSON values; `from_dict` gives it back bit for bit."""
-        return codec.encode(self)
+        """Return the genome as JSON values; `from_dict` gives it back bit for bit.
+
+        One list per column instead of one object per gene: large populations stay small on disk.
+        Float32 weights are written as float64 numbers, which JSON keeps exactly.
+        """
+        columns = {name: getattr(self, name).tolist() for name in NODE_FIELDS | LINK_FIELDS}
+        for name, words in WORDS.items():
+            columns[name] = [words[number] for number in columns[name]]
+        return {
+            "format": GENOME_FORMAT,
+            "version": GENOME_VERSION,
+            "genome_id": self.genome_id,
+            "observation_schema": self.observation_schema,
+            **{
+                f"{table}s": {name.removeprefix(f"{table}_"): columns[name] for name in fields}
+                for table, fields in TABLES.items()
+            },
+        }
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
         """Return the genome that `to_dict` wrote; GenomeError names a bad key or gene."""
-        return cls(**codec.decode(data))
+        return cls(**_decoded(data))
 
     def to_json(self) -> str:
         """Return the genome as one line of JSON."""
@@ -192,11 +209,11 @@ class Genome:
     @classmethod
     def from_json(cls, text: str | bytes) -> Self:
         """Return the genome that `to_json` wrote; GenomeError names a bad key or gene."""
-        return cls(**codec.decode(codec.parse(text)))
-
-
-def _equal(a: NDArray[Any], b: NDArray[Any]) -> bool:
-    return a is b or np.array_equal(a, b)
+        try:
+            data = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise GenomeError(f"the text is not valid JSON: {error}.") from error
+        return cls.from_dict(data)
 
 
 def identical(a: Genome, b: Genome) -> bool:
@@ -206,19 +223,22 @@ def identical(a: Genome, b: Genome) -> bool:
 
 
 def save_genome(genome: Genome, path: str | Path) -> None:
-    """Write the genome as JSON, whole or not at all."""
+    """Write the genome as JSON, whole or not at all.
+
+    Example:
+        >>> save_genome(genome, "champion.json")
+    """
     write_atomic(Path(path), genome.to_json().encode())
 
 
 def load_genome(path: str | Path, *, observation_schema: str | None = None) -> Genome:
-    """Return the genome in a file.
-
-    Args:
-        path: the file.
-        observation_schema: name of the observations that the caller has for it; None accepts any.
+    """Return the genome in a file, to be fed `observation_schema`; None accepts any.
 
     Raises:
         GenomeError: naming the file and what is wrong in it, or that it reads other observations.
+
+    Example:
+        >>> network = GenomeNetwork(load_genome("champion.json"))
     """
     try:
         genome = Genome.from_json(Path(path).read_bytes())
@@ -230,3 +250,104 @@ def load_genome(path: str | Path, *, observation_schema: str | None = None) -> G
             f"{observation_schema!r}; use the sensors that it was evolved with."
         )
     return genome
+
+
+def pack_genomes(genomes: Sequence[Genome]) -> dict[str, Any]:
+    """Return genomes as concatenated columns: every gene field over all genomes.
+
+    With them go `genome_id`, `nodes` and `links` int64 [genomes] (the last two: how many genes each
+    has) and `observation_schema` (one text each).
+    """
+    columns = {
+        name: np.concatenate([getattr(genome, name) for genome in genomes]) for name in COLUMNS
+    }
+    return {
+        "genome_id": np.array([genome.genome_id for genome in genomes], np.int64),
+        "observation_schema": [genome.observation_schema for genome in genomes],
+        "nodes": np.array([genome.node_id.size for genome in genomes], np.int64),
+        "links": np.array([genome.link_weight.size for genome in genomes], np.int64),
+        **columns,
+    }
+
+
+def unpack_genomes(packed: Mapping[str, Any]) -> list[Genome]:
+    """Return the genomes that `pack_genomes` was given, bit for bit; each is checked again."""
+    columns = {
+        name: np.split(packed[name], np.cumsum(packed[counts])[:-1])
+        for counts, names in (("nodes", NODE_FIELDS), ("links", LINK_FIELDS))
+        for name in names
+    }
+    return [
+        Genome(
+            genome_id=int(genome_id),
+            observation_schema=packed["observation_schema"][index],
+            **{name: parts[index] for name, parts in columns.items()},
+        )
+        for index, genome_id in enumerate(packed["genome_id"])
+    ]
+
+
+def _decoded(data: object) -> dict[str, Any]:
+    """Return the fields of a Genome from what `to_dict` made."""
+    if not isinstance(data, Mapping):
+        raise GenomeError(f"a genome is a JSON object, not {_named_type(data)}.")
+    for key, wanted in (("format", GENOME_FORMAT), ("version", GENOME_VERSION)):
+        value = data.get(key)
+        if type(value) is not type(wanted) or value != wanted:
+            raise GenomeError(f"key {key!r} is {value!r}, but this program reads {wanted!r} only.")
+    _check_keys("genome", data, KEYS)
+    found: dict[str, Any] = {}
+    for key, expected in (("genome_id", int), ("observation_schema", str)):
+        value = found[key] = data[key]
+        if type(value) is not expected:
+            raise GenomeError(f"key {key!r} must be {expected.__name__}, not {_named_type(value)}.")
+    for table, types in TABLES.items():
+        columns = [name.removeprefix(f"{table}_") for name in types]
+        _check_keys(f"{table}s", data[f"{table}s"], columns)
+        for column in columns:
+            found[f"{table}_{column}"] = _decode_column(table, column, data[f"{table}s"])
+    return found
+
+
+def _check_keys(name: str, data: object, keys: Sequence[str]) -> None:
+    if not isinstance(data, Mapping):
+        raise GenomeError(f"{name} must be a JSON object, not {_named_type(data)}.")
+    for wrong, what in ((set(keys) - set(data), "missing"), (set(data) - set(keys), "unknown")):
+        if wrong:
+            raise GenomeError(f"{name}: key {min(wrong)!r} is {what}; expected {', '.join(keys)}.")
+
+
+def _decode_column(table: str, column: str, columns: Mapping[str, Any]) -> NDArray[Any]:
+    where, values = f"{table}s.{column}", columns[column]
+    genes = columns["id" if table == "node" else "innovation"]
+    if not isinstance(values, list) or not isinstance(genes, list):
+        raise GenomeError(f"{where} must be a list, not {_named_type(values)}.")
+    if len(values) != len(genes):
+        raise GenomeError(f"{where} has {len(values)} entries for {len(genes)} {table}s.")
+    dtype, numbers = TABLES[table][f"{table}_{column}"], []
+    for gene, value in zip(genes, values, strict=True):
+        try:
+            numbers.append(_decode_value(value, dtype, WORDS.get(f"{table}_{column}")))
+        except GenomeError as error:
+            name = f"node {gene}" if table == "node" else f"link with innovation {gene}"
+            raise GenomeError(f"{name}: {column} {error}") from error
+    return np.array(numbers, dtype=dtype)
+
+
+def _decode_value(value: Any, dtype: type[np.generic], words: tuple[str, ...] | None) -> np.generic:
+    types = {np.float32: (float, int), np.bool_: (bool,)}
+    expected = (str,) if words else types.get(dtype, (int,))
+    if type(value) not in expected:
+        raise GenomeError(f"must be {expected[0].__name__}, not {value!r}.")
+    if words and value not in words:
+        raise GenomeError(f"{value!r} is unknown; choose one of {', '.join(words)}.")
+    try:
+        # A weight beyond float32 becomes infinite here and is named by the genome's own check.
+        with np.errstate(over="ignore"):
+            return dtype(words.index(value) if words else value)
+    except OverflowError as error:
+        raise GenomeError(f"{value} is too large for {dtype.__name__}.") from error
+
+
+def _named_type(value: object) -> str:
+    return f"{type(value).__name__} {value!r}"[:60]

@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
+from graphlib import CycleError, TopologicalSorter
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Indices = NDArray[np.integer]
-
-
-def node_levels(sources: Indices, targets: Indices, nodes: int) -> NDArray[np.int32] | None:
-    """Return for each node the length of the longest path of links that ends in it.
-
-    Args:
-        sources: [links] index (not id) of the node each link leaves.
-        targets: [links] index of the node each link enters.
-        nodes: number of nodes.
-
-    Returns:
-        int32 [nodes], 0 for nodes without incoming links; None if the links form a cycle.
-    """
-    levels = _levels(sources, targets, nodes)
-    return None if levels.size < nodes else levels
+NodeIndices = NDArray[np.integer]
 
 
 @njit(cache=True)
-def _levels(sources: Indices, targets: Indices, nodes: int) -> NDArray[np.int32]:
-    """Return the levels [nodes], an empty array if the links form a cycle."""
+def node_levels(sources: NodeIndices, targets: NodeIndices, nodes: int) -> NDArray[np.int32] | None:
+    """Return for each node the length of the longest path of links that ends in it.
+
+    Links [links] lead from and to indices (not ids) of nodes. The levels are int32 [nodes], 0 for
+    nodes without incoming links; None if the links form a cycle.
+    """
     levels = np.zeros(nodes, dtype=np.int32)
     changed = True
     while changed:
@@ -37,12 +28,14 @@ def _levels(sources: Indices, targets: Indices, nodes: int) -> NDArray[np.int32]
                 levels[targets[link]] = level
                 changed = True
                 if level >= nodes:
-                    return levels[:0]
+                    return None
     return levels
 
 
 @njit(cache=True)
-def reaches(sources: Indices, targets: Indices, nodes: int, source: int, target: int) -> bool:
+def reaches(
+    sources: NodeIndices, targets: NodeIndices, nodes: int, source: int, target: int
+) -> bool:
     """Tell whether a path of links leads from node `source` to node `target` (indices).
 
     A node reaches itself. The links may contain cycles.
@@ -58,24 +51,13 @@ def reaches(sources: Indices, targets: Indices, nodes: int, source: int, target:
     return bool(reached[target])
 
 
-def find_cycle(sources: Indices, targets: Indices) -> list[int]:
-    """Return node indices along one cycle of the links, [] if there is none.
-
-    Meant for error messages: it walks link by link.
-    """
-    left_sources, left_targets = sources, targets
-    while left_sources.size:
-        waiting = np.isin(left_sources, left_targets)
-        if waiting.all():
-            return _walk_back(left_sources, left_targets)
-        left_sources, left_targets = left_sources[waiting], left_targets[waiting]
+def find_cycle(sources: NodeIndices, targets: NodeIndices) -> list[int]:
+    """Return node indices along one cycle of the links, the first again at the end; or []."""
+    sorter: TopologicalSorter[int] = TopologicalSorter()
+    for source, target in zip(sources.tolist(), targets.tolist(), strict=True):
+        sorter.add(target, source)
+    try:
+        sorter.prepare()
+    except CycleError as error:
+        return error.args[1]
     return []
-
-
-def _walk_back(sources: Indices, targets: Indices) -> list[int]:
-    """Follow links backwards until a node repeats; every source has an incoming link."""
-    incoming = dict(zip(targets.tolist(), sources.tolist(), strict=True))
-    path = [int(sources[0])]
-    while (before := incoming[path[-1]]) not in path:
-        path.append(before)
-    return path[path.index(before) :][::-1]

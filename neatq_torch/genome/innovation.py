@@ -3,32 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import astuple, dataclass
 from typing import Any, NamedTuple, Self
 
-import numpy as np
-from numba import njit
-from numpy.typing import NDArray
-
 from neatq_torch.genome.genome import Genome
-
-
-@njit(cache=True)
-def matching(
-    first: NDArray[np.int64], second: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the places [matches] in two sorted lists of innovations that both have."""
-    in_first = np.empty(min(first.size, second.size), np.int64)
-    in_second = np.empty_like(in_first)
-    i = j = matches = 0
-    while i < first.size and j < second.size:
-        if first[i] == second[j]:
-            in_first[matches], in_second[matches] = i, j
-            matches += 1
-        step_first, step_second = first[i] <= second[j], second[j] <= first[i]
-        i += step_first
-        j += step_second
-    return in_first[:matches], in_second[:matches]
 
 
 class LinkInnovation(NamedTuple):
@@ -38,8 +15,7 @@ class LinkInnovation(NamedTuple):
     weight: float
 
 
-@dataclass(frozen=True)
-class Split:
+class Split(NamedTuple):
     """The node that splits a link, and the numbers of the two links around it."""
 
     node_id: int
@@ -65,18 +41,22 @@ class InnovationLedger:
     def for_genomes(cls, genomes: Iterable[Genome]) -> Self:
         """Return a ledger that knows the links of these genomes and numbers beyond them."""
         ledger = cls()
+        columns = ("source", "target", "recurrent", "innovation", "weight")
         for genome in genomes:
-            ledger._learn(genome)
+            lists = [getattr(genome, f"link_{column}").tolist() for column in columns]
+            for source, target, recurrent, innovation, weight in zip(*lists, strict=True):
+                known = LinkInnovation(innovation, weight)
+                ledger._links.setdefault((source, target, recurrent), known)
+                ledger.next_innovation = max(ledger.next_innovation, innovation + 1)
+            ledger.next_node_id = max(ledger.next_node_id, int(genome.node_id.max()) + 1)
         return ledger
 
     def link(self, source: int, target: int, recurrent: bool, weight: float) -> LinkInnovation:
         """Return number and weight for a new link; `weight` counts only if it is the first."""
         key = (int(source), int(target), bool(recurrent))
-        known = self._links.get(key)
-        if known is None:
-            known = LinkInnovation(self._take_innovation(), float(weight))
-            self._links[key] = known
-        return known
+        if key not in self._links:
+            self._links[key] = LinkInnovation(self._take_innovation(), float(weight))
+        return self._links[key]
 
     def split(self, link_innovation: int, taken_node_ids: Collection[int]) -> Split:
         """Return the split of a link: the same for everyone, unless its node is taken.
@@ -104,9 +84,7 @@ class InnovationLedger:
             "next_innovation": self.next_innovation,
             "next_node_id": self.next_node_id,
             "links": [[*key, *known] for key, known in self._links.items()],
-            "splits": [
-                [link, *astuple(split)] for link, splits in self._splits.items() for split in splits
-            ],
+            "splits": [[link, *split] for link, splits in self._splits.items() for split in splits],
         }
 
     @classmethod
@@ -122,19 +100,3 @@ class InnovationLedger:
     def _take_innovation(self) -> int:
         self.next_innovation += 1
         return self.next_innovation - 1
-
-    def _learn(self, genome: Genome) -> None:
-        columns = (
-            genome.link_source,
-            genome.link_target,
-            genome.link_recurrent,
-            genome.link_innovation,
-            genome.link_weight,
-        )
-        for *key, innovation, weight in zip(*(c.tolist() for c in columns), strict=True):
-            source, target, recurrent = key
-            self._links.setdefault((source, target, recurrent), LinkInnovation(innovation, weight))
-        self.next_node_id = max(self.next_node_id, int(genome.node_id.max()) + 1)
-        if genome.link_innovation.size:
-            last = int(genome.link_innovation[-1])
-            self.next_innovation = max(self.next_innovation, last + 1)

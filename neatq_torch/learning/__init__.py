@@ -4,19 +4,23 @@ from neatq_torch.learning.candidates import CandidatePolicy, CandidateValue
 from neatq_torch.learning.exploration import EpsilonGreedy
 from neatq_torch.learning.genes import LearningGenes
 from neatq_torch.learning.heads import CandidateHeads, DiscreteHeads, Heads
-from neatq_torch.learning.inheritance import Heirs, Inheritance, PartialInheritance, write_back
-from neatq_torch.learning.learner import Learner, LearnerConfig, NoLearning, TDLearner
-from neatq_torch.learning.memory import TransitionMemory, over_horizon, summed_up
-from neatq_torch.learning.objectives import Bootstrap, CandidateTDLoss
-from neatq_torch.learning.replay import PRETRAINING, pretrain
-from neatq_torch.learning.shared_replay import ReplayConfig, ReplayLearner
-from neatq_torch.learning.table import QTable, TableLearner, TablePolicy
+from neatq_torch.learning.learner import (
+    Learner,
+    NoLearning,
+    NoLearningConfig,
+    StepConfig,
+    TDConfig,
+    TDLearner,
+    write_back,
+)
+from neatq_torch.learning.objectives import CandidateTDLoss
+from neatq_torch.learning.registry import LearnerParts, learner_kinds, register_learner
+from neatq_torch.learning.replay import ReplayConfig, ReplayLearner
+from neatq_torch.learning.table import TableConfig, TableLearner
 from neatq_torch.learning.traces import TraceConfig, TraceLearner
-from neatq_torch.learning.wire_fitting import WireFittingLoss, closeness, wire_fit
+from neatq_torch.learning.wire_fitting import WireFittingLoss
 
 __all__ = [
-    "PRETRAINING",
-    "Bootstrap",
     "CandidateHeads",
     "CandidatePolicy",
     "CandidateTDLoss",
@@ -24,27 +28,22 @@ __all__ = [
     "DiscreteHeads",
     "EpsilonGreedy",
     "Heads",
-    "Heirs",
-    "Inheritance",
     "Learner",
-    "LearnerConfig",
+    "LearnerParts",
     "LearningGenes",
     "NoLearning",
-    "PartialInheritance",
-    "QTable",
+    "NoLearningConfig",
     "ReplayConfig",
     "ReplayLearner",
+    "StepConfig",
+    "TDConfig",
     "TDLearner",
+    "TableConfig",
     "TableLearner",
-    "TablePolicy",
     "TraceConfig",
     "TraceLearner",
-    "TransitionMemory",
     "WireFittingLoss",
-    "closeness",
-    "over_horizon",
-    "pretrain",
-    "summed_up",
-    "wire_fit",
+    "learner_kinds",
+    "register_learner",
     "write_back",
 ]

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, dispatch
-from torch import Tensor, nn
+from torch import Tensor
 
 from neatq_torch.learning.exploration import EpsilonGreedy
 from neatq_torch.learning.heads import Heads, check_heads
+from neatq_torch.learning.learner import fitted
 from neatq_torch.network import PopulationNetwork
+
+NOBODY = -1
+"""The genome id of transitions that nobody learns from."""
 
 
 class CandidateValue(TensorDictModuleBase):
@@ -25,23 +28,22 @@ class CandidateValue(TensorDictModuleBase):
         network: The networks of all robots.
         heads: How outputs are read.
         propose: Also write the `candidates` [..., K, A], as a `WireFittingLoss` needs them.
+
+    Example:
+        >>> value = CandidateValue(network, heads)
     """
 
     def __init__(self, network: PopulationNetwork, heads: Heads, *, propose: bool = False) -> None:
         super().__init__()
         self.in_keys = ["observation"]
-        self.out_keys = ["action_value", "chosen_action_value"]
-        if propose:
-            self.out_keys.append("candidates")
+        self.out_keys = ["action_value", "chosen_action_value", *["candidates"] * propose]
         self.propose = propose
         check_heads(network, heads)
         self.network = network
         self.heads = heads
 
     @dispatch  # pyright: ignore[reportArgumentType]
-    def forward(  # pyright: ignore[reportIncompatibleMethodOverride]
-        self, tensordict: TensorDictBase
-    ) -> TensorDictBase:
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Add the values of the candidates to `tensordict`."""
         observation = tensordict.get("observation")
         if self.network.state_size:
@@ -62,9 +64,10 @@ class CandidatePolicy(TensorDictModuleBase):
 
     Reads `observation`; writes `candidates` [*shape, K, A], `action_value` [*shape, K],
     `candidate_index` [*shape], `action` [*shape, A], `chosen_action_value` [*shape, 1] and
-    `genome_id` [*shape, 1], by which learning knows whose transition it is. Where networks are
-    recurrent it also writes the state that this tick read, `network_state`, and the one that the
-    next tick reads, `("next", "network_state")`.
+    `genome_id` [*shape, 1], by which learning knows whose transition it is: nobody's (-1) in slots
+    that do not live by an entry `living` [*shape, 1], if there is one. Where networks are recurrent
+    it also writes the state that this tick read, `network_state`, and the one that the next tick
+    reads, `("next", "network_state")`.
 
     The state stays with the robot from life to life, as in OpenNERO; a newborn starts afresh
     through `reset`.
@@ -75,6 +78,12 @@ class CandidatePolicy(TensorDictModuleBase):
         exploration: How a candidate is taken.
         double_activation: Activate each network a second time, with the observation before, as
             the published rtNEAT+Q did. Outputs are not affected at once, but recurrent state is.
+        forgets: Start afresh where an episode begins (`step_count` is 0), too.
+
+    Example:
+        >>> exploration = EpsilonGreedy(network.shape, seeds=[0], epsilon=0.1)
+        >>> policy = CandidatePolicy(network, heads, exploration)
+        >>> action = policy(env.reset())["action"]
     """
 
     memory: Tensor
@@ -87,44 +96,42 @@ class CandidatePolicy(TensorDictModuleBase):
         exploration: EpsilonGreedy,
         *,
         double_activation: bool = False,
+        forgets: bool = False,
     ) -> None:
         super().__init__()
         self.in_keys = ["observation"]
-        self.out_keys = [
-            "candidates",
-            "action_value",
-            "candidate_index",
-            "action",
-            "chosen_action_value",
-            "genome_id",
-        ]
+        values = ["action_value", "chosen_action_value"]
+        self.out_keys = ["candidates", "candidate_index", "action", *values, "genome_id"]
         check_heads(network, heads)
         self.network = network
         self.heads = heads
         self.exploration = exploration
         self.double_activation = double_activation
+        self.forgets = forgets
         self.register_buffer("memory", network.initial_state(), persistent=False)
         previous = self.memory.new_zeros(*network.shape, network.inputs)
         self.register_buffer("previous", previous, persistent=False)
 
     @dispatch  # pyright: ignore[reportArgumentType]
-    def forward(  # pyright: ignore[reportIncompatibleMethodOverride]
-        self, tensordict: TensorDictBase
-    ) -> TensorDictBase:
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Add every robot's action, and what led to it, to `tensordict`."""
         observation = tensordict.get("observation")
+        if self.forgets and (begins := tensordict.get("step_count").squeeze(-1) == 0).any():
+            self.reset(begins)
         output, memory = self.network.step(observation, self.memory)
         candidates, values = self.heads(output)
         index = self.exploration(values)
         taken = index.unsqueeze(-1)
         chosen = taken.unsqueeze(-1).expand(*taken.shape, self.heads.actions)
         action = candidates.gather(-2, chosen).squeeze(-2)
+        owner, living = self.network.genome_id.unsqueeze(-1), tensordict.get("living", None)
         tensordict.set("candidates", candidates)
         tensordict.set("action_value", values)
         tensordict.set("candidate_index", index)
         tensordict.set("action", action)
         tensordict.set("chosen_action_value", values.gather(-1, taken))
-        tensordict.set("genome_id", self.network.genome_id.unsqueeze(-1))
+        own = owner if living is None else owner.masked_fill(~living, NOBODY)
+        tensordict.set("genome_id", own)
         if self.network.state_size:
             if self.double_activation:
                 memory = self.network.step(self.previous, memory)[1]
@@ -135,29 +142,24 @@ class CandidatePolicy(TensorDictModuleBase):
         return tensordict
 
     def reset(self, newborn: Tensor) -> None:
-        """Let newborns start afresh: no state and no exploration of the genome before.
-
-        Args:
-            newborn: Mask [*shape].
-        """
-        missing = self.network.state_size - self.memory.shape[-1]
-        memory = nn.functional.pad(self.memory, (0, missing)) if missing else self.memory
+        """Let newborns (mask [*shape]) start afresh: no state or exploration of those before."""
+        memory = fitted(self.memory, self.network.initial_state())
         self.memory = memory.masked_fill(newborn.unsqueeze(-1), 0.0)
         self.previous = self.previous.masked_fill(newborn.unsqueeze(-1), 0.0)
         self.exploration.reset(newborn)
 
-    def state(self) -> dict[str, Any]:
-        """What a checkpoint must keep: recurrent state and exploration."""
+    def state_dict(self, *args: Any, **settings: Any) -> dict[str, Any]:
+        """Recurrent state and exploration; torch's own for a module around it."""
+        if args or settings:
+            return super().state_dict(*args, **settings)
         return {
             "memory": self.memory,
             "previous": self.previous,
-            "exploration": self.exploration.state(),
+            "exploration": self.exploration.state_dict(),
         }
 
-    def load_state(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Go on from `state`."""
-        saved = torch.as_tensor(state["memory"]).to(self.memory)
-        missing = self.network.state_size - saved.shape[-1]
-        self.memory = nn.functional.pad(saved, (0, missing))
-        self.previous = torch.as_tensor(state["previous"]).to(self.previous)
-        self.exploration.load_state(state["exploration"])
+        self.memory = fitted(state["memory"], self.network.initial_state())
+        self.previous = fitted(state["previous"], self.previous)
+        self.exploration.load_state_dict(state["exploration"])

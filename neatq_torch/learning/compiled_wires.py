@@ -1,211 +1,167 @@
-"""Wire fitting on stored transitions by compiled code: `WireFittingLoss` and `TDLearner` in one.
+"""The compiled form of `wire_fitting.py`, for the steps of a `TDLearner` on stored transitions.
 
-Every number is that of the torch operations up to rounding, and the arenas and robots beside a
-network do not change a bit of it.
+Every number is that of the torch operations up to rounding. Networks do not mix, and every sum is
+in one fixed order: the arenas and robots beside a network do not change a bit of its results. All
+functions that numba compiles stay in this one file, as numba's cache does not notice when a
+function of another file has changed.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, cast
 
 import numpy as np
 import torch
+from numba import njit
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from neatq_torch.learning import wire_kernels
 from neatq_torch.learning.heads import CandidateHeads
-from neatq_torch.learning.learner import TDLearner
+from neatq_torch.learning.learner import ADAM_BETAS, ADAM_EPSILON, TDLearner
 from neatq_torch.learning.objectives import discount_of
-from neatq_torch.learning.wire_fitting import SEPARATION_WIDTH, WireFittingLoss
-from neatq_torch.learning.wire_kernels import Floats, Wires
+from neatq_torch.learning.wire_fitting import WireFittingLoss
 from neatq_torch.network import compiled, kernels
+from neatq_torch.network.kernels import Floats
 from neatq_torch.network.plan import Program
 
+Fit = tuple[Floats, Floats, Floats, Floats]
+"""Of each candidate its nearness 1 / D and what its value lacks to the best [K, size]; the mean of
+the latter by the former, and the sum of the former [size]."""
 
-class Lessons(NamedTuple):
-    """Minibatches of transitions, which all robots of an arena share.
+_F0, _F1, _F2 = np.float32(0), np.float32(1), np.float32(2)
+_BETA1, _BETA2 = ADAM_BETAS
+_MOVE1, _MOVE2 = np.float32(1 - _BETA1), np.float32(1 - _BETA2)
+_SMALL = np.float32(ADAM_EPSILON)
 
-    Attributes:
-        observation: [arenas, steps, size, inputs].
-        action: [arenas, steps, size, A].
-        reward: Weighed sums; where each network has a gamma of its own, `arenas` are networks here
-            [arenas, steps, size].
-        discount: Of the next state's value, 0 where that is terminal; likewise.
-        following: The next observation [arenas, steps, size, inputs].
+
+class Minibatches(NamedTuple):
+    """Minibatches of transitions [arenas, steps, size], which all robots of an arena share.
+
+    Where each network has a gamma of its own, rewards and discounts have networks for arenas.
     """
 
-    observation: Floats
-    action: Floats
-    reward: Floats
-    discount: Floats
-    following: Floats
+    observation: Floats  # [arenas, steps, size, inputs]
+    action: Floats  # [arenas, steps, size, A]
+    reward: Floats  # weighed sums
+    discount: Floats  # of the next state's value, 0 where that is terminal
+    following: Floats  # the next observation, as the observation
 
 
-@dataclass(frozen=True, kw_only=True)
-class Pupils:
-    """Networks that learn, and what belongs to their optimiser: see `TDLearner`.
+class Pupils(NamedTuple):
+    """Networks that learn: their evaluation order, and what belongs to their optimiser.
 
-    Attributes:
-        program: Their evaluation order.
-        rows: Values of the largest network.
-        weight: [networks, columns], changed in place, like all that follows.
-        target: Weights to bootstrap from [networks, columns]; `weight` itself without targets.
-        first_moment: [networks, columns].
-        second_moment: [networks, columns].
-        steps: Steps so far [networks].
-        learning_rate: [networks].
+    All but that and the learning rate is changed in place. `rows` are the values of the largest
+    network, `target` the weights to bootstrap from: `weight` itself without targets.
     """
 
     program: Program
     rows: int
-    weight: Floats
+    weight: Floats  # [networks, columns], as all down to the second moment
     target: Floats
     first_moment: Floats
     second_moment: Floats
-    steps: Floats
-    learning_rate: Floats
+    steps: Floats  # taken so far [networks]
+    learning_rate: Floats  # [networks]
 
 
-def serves(learner: TDLearner) -> bool:
+class Wires(NamedTuple):
+    """The numbers of a `WireFittingLoss` over `CandidateHeads`."""
+
+    candidates: int
+    low: Floats  # smallest action [A]
+    unit: Floats  # 1 / span of each action, 0 where there is none [A]
+    smoothing: np.float32  # in spans of the values
+    epsilon: np.float32
+    value_low: np.float32  # the value of an output of 0
+    value_span: np.float32  # from there to that of an output of 1
+
+
+def can_teach(learner: TDLearner) -> bool:
     """Whether compiled code can stand in for a learner's torch operations."""
     loss = learner.loss
-    return (
-        type(loss) is WireFittingLoss
-        and loss.reduction == "sum"
-        and compiled.serves(learner.network.weight)
-    )
-
-
-def wires_of(learner: TDLearner) -> Wires:
-    """The numbers of a learner that `serves` approves of."""
-    loss = cast(WireFittingLoss, learner.loss)
-    heads = cast(CandidateHeads, loss.value_network.heads)
-    low, high = heads.value_range
-    return Wires(
-        heads.candidates,
-        heads.low.numpy(),
-        loss.unit.numpy(),
-        np.float32(loss.smoothing),
-        np.float32(loss.epsilon),
-        np.float32(low),
-        np.float32(high - low),
-        np.float32(loss.epsilon_greedy if loss.bootstrap == "expected" else 0),
-        np.float32(loss.separation / max(heads.candidates * (heads.candidates - 1) / 2, 1)),
-        np.float32(SEPARATION_WIDTH**2),
-    )
+    wires = type(loss) is WireFittingLoss and loss.reduction == "sum"
+    return wires and compiled.accepts(learner.network.weight)
 
 
 def pupils_of(learner: TDLearner) -> Pupils:
     """All networks of a learner, in the memory where they stand."""
-    plan, weight = learner.network.plan, _array(learner.network.weight)
-    target = learner.target_weight
-    return Pupils(
-        program=plan.program,
-        rows=plan.layout.rows,
-        weight=weight,
-        target=weight if target is None else _array(target),
-        first_moment=_array(learner.first_moment),
-        second_moment=_array(learner.second_moment),
-        steps=_array(learner.steps),
-        learning_rate=_array(learner.learning_rate),
-    )
+    plan, weight, target = learner.network.plan, learner.network.weight, learner.target_weight
+    own = weight, weight if target is None else target, learner.first_moment, learner.second_moment
+    tensors = (*own, learner.steps, learner.learning_rate)
+    return Pupils(plan.program, plan.layout.rows, *(one.detach().numpy() for one in tensors))
 
 
-def newborns_of(learner: TDLearner, places: Sequence[int]) -> Pupils:
-    """A copy of the networks in some places (flat), with nothing learnt yet."""
-    plan, rows = learner.network.plan, list(places)
-    weight = _array(learner.network.weight)[rows]
-    return Pupils(
-        program=plan.program.of(rows),
-        rows=plan.layout.rows,
-        weight=weight,
-        target=weight if learner.target_weight is None else weight.copy(),
-        first_moment=np.zeros_like(weight),
-        second_moment=np.zeros_like(weight),
-        steps=np.zeros(len(rows), np.float32),
-        learning_rate=np.full(len(rows), learner.config.learning_rate, np.float32),
-    )
+def newborns_of(learner: TDLearner, slots: Sequence[int]) -> Pupils:
+    """A copy of the networks in some slots (flat), with nothing learnt yet."""
+    plan, count = learner.network.plan, len(slots)
+    weight = learner.network.weight.detach().numpy()[slots]
+    target = weight if learner.target_weight is None else weight.copy()
+    moments = np.zeros_like(weight), np.zeros_like(weight)
+    rate = np.full(count, learner.config.learning_rate / learner.square, np.float32)
+    program, steps = plan.program.of(slots), np.zeros(count, np.float32)
+    return Pupils(program, plan.layout.rows, weight, target, *moments, steps, rate)
 
 
-def _array(tensor: Tensor) -> Floats:
-    return tensor.detach().numpy()
-
-
-def learn(pupils: Pupils, learner: TDLearner, lessons: Lessons) -> Floats:
+def learn(
+    pupils: Pupils,
+    learner: TDLearner,
+    drawn: Sequence[TensorDictBase],
+    steps: int,
+    discount: Tensor | None,
+) -> Floats:
     """Take one step on each minibatch.
 
     Args:
         pupils: Networks [arenas * robots], by arena.
         learner: Says how; its own networks are not touched unless they are the pupils.
-        lessons: What is learnt from.
+        drawn: Transitions for each arena [steps * size]; with one gamma for all, rewards are summed
+            up already.
+        steps: Minibatches.
+        discount: gamma of each pupil [networks]; None: the loss's.
 
     Returns:
         Mean squared TD error of each network on the last minibatch [networks].
     """
-    wires, config = wires_of(learner), learner.config
-    networks, (arenas, steps, size, _) = len(pupils.weight), lessons.observation.shape
-    robots = networks // arenas
-    outputs = learner.network.outputs
-    output, following, chosen, slope = np.empty((4, networks, size, outputs), np.float32)
-    state = np.zeros((networks, size, learner.network.state_size), np.float32)
+    batches, wires = _minibatches(learner, drawn, steps, discount), _wires_of(learner)
+    robots, size = len(pupils.weight) // len(drawn), batches.action.shape[2]
+    each = (len(pupils.weight), size)
+    output, following, slope = np.empty((3, *each, learner.network.outputs), np.float32)
+    state = np.zeros((*each, learner.network.state_size), np.float32)
     kept, gradient = np.empty_like(state), np.empty_like(pupils.weight)
-    no_slope = np.zeros_like(state)
-    error = np.zeros(networks, np.float32)
-    order = pupils.program, pupils.rows
+    no_slope, error = np.zeros_like(state), np.zeros(each[0], np.float32)
+    order, tau = (pupils.program, pupils.rows), learner.config.target_tau
     for step in range(steps):
-        now, then = (
-            np.repeat(part[:, step], robots, 0) for part in (lessons.observation, lessons.following)
-        )
+        observations = batches.observation[:, step], batches.following[:, step]
+        now, then = (np.repeat(part, robots, 0) for part in observations)
         kernels.forward(*order, pupils.target, then, state, following, kept)
         kernels.forward(*order, pupils.weight, now, state, output, kept)
-        chooser = following
-        if learner.loss.bootstrap == "double":
-            kernels.forward(*order, pupils.weight, then, state, chosen, kept)
-            chooser = chosen
-        target = wire_kernels.targets(
-            following, chooser, lessons.reward[:, step], lessons.discount[:, step], wires
-        )
-        wire_kernels.slopes(output, lessons.action[:, step], target, wires, slope, error)
+        target = _targets(following, batches.reward[:, step], batches.discount[:, step], wires)
+        _slopes(output, batches.action[:, step], target, wires, slope, error)
         gradient[:] = 0
-        kernels.backward(
-            *order,
-            pupils.weight,
-            kernels.Batch(now, state, output, state),
-            gradient,
-            kernels.Batch(now, state, slope, no_slope),
-            False,
-        )
-        wire_kernels.step(
-            pupils.weight,
-            gradient,
-            (pupils.first_moment, pupils.second_moment),
-            pupils.steps,
-            pupils.learning_rate,
-            learner.adam,
-        )
-        if config.target_tau is not None:
-            wire_kernels.follow(pupils.target, pupils.weight, np.float32(config.target_tau))
+        went = kernels.Batch(now, state, output, state)
+        wanted = kernels.Batch(now, state, slope, no_slope)
+        kernels.backward(*order, pupils.weight, went, gradient, wanted, False)
+        moments = pupils.first_moment, pupils.second_moment
+        rate = pupils.learning_rate
+        _descend(pupils.weight, gradient, moments, pupils.steps, rate, learner.adam)
+        if tau is not None:
+            pupils.target[:] += np.float32(tau) * (pupils.weight - pupils.target)
     return error
 
 
-def lessons_of(
-    learner: TDLearner,
-    drawn: Sequence[TensorDictBase],
-    steps: int,
-    discount: Tensor | None,
-) -> Lessons:
-    """Transitions [steps * size] that were drawn for each arena, as minibatches.
+def _wires_of(learner: TDLearner) -> Wires:
+    loss = cast(WireFittingLoss, learner.loss)
+    heads = cast(CandidateHeads, loss.value_network.heads)
+    low, high = heads.value_range
+    numbers = (np.float32(one) for one in (loss.smoothing, loss.epsilon, low, high - low))
+    return Wires(heads.candidates, heads.low.numpy(), loss.unit.numpy(), *numbers)
 
-    Args:
-        learner: Says how they are to be weighed.
-        drawn: The transitions; with one gamma for all, rewards are summed up already.
-        steps: Minibatches.
-        discount: gamma of each network that is to learn from them [networks]; None: the loss's.
-    """
 
+def _minibatches(
+    learner: TDLearner, drawn: Sequence[TensorDictBase], steps: int, discount: Tensor | None
+) -> Minibatches:
     def part(*name: str) -> Floats:
         rows = torch.stack([each.get(name) for each in drawn]).float().numpy()
         return rows.reshape(len(drawn), steps, -1, rows.shape[-1])
@@ -215,17 +171,173 @@ def lessons_of(
     if discount is None:
         gamma = np.array([discount_of(learner.loss)])
     else:
-        gamma = _array(discount).astype(np.float64)
+        gamma = discount.numpy().astype(np.float64)
         sharing = len(gamma) // len(drawn)
         reward, ahead, going_on = (np.repeat(one, sharing, 0) for one in (reward, ahead, going_on))
     weight = gamma[:, None] ** np.arange(reward.shape[-1])
     if learner.loss.normalize_return:
         weight *= 1 - gamma[:, None]
     each = gamma.astype(np.float32)[:, None, None]
-    return Lessons(
+    return Minibatches(
         part("observation"),
         part("action"),
         (reward @ weight.astype(np.float32)[:, None, :, None])[..., 0],
         going_on * np.power(each, ahead, dtype=np.float32),
         part("next", "observation"),
     )
+
+
+def _targets(following: Floats, reward: Floats, discount: Floats, wires: Wires) -> Floats:
+    """What is learnt towards [networks, size], from outputs for the next states [.., outputs].
+
+    Rewards and discounts have a row for all networks of an arena, or for each [rows, size].
+    """
+    best = following[..., -wires.candidates :].max(-1)
+    reward, discount = (np.repeat(one, len(best) // len(one), 0) for one in (reward, discount))
+    return reward + discount * (wires.value_low + wires.value_span * best)
+
+
+@njit(cache=True, error_model="numpy")
+def _slopes(
+    output: Floats, action: Floats, target: Floats, wires: Wires, slope: Floats, error: Floats
+) -> None:
+    """Gradients of half the squared TD error with regard to the outputs [networks, size, outputs].
+
+    They go to `slope`, and the mean squared TD error [networks] to `error`, for what was done
+    [arenas, size, A] and the targets [networks, size].
+    """
+    networks, size, outputs = output.shape
+    robots, candidates = networks // len(action), wires.candidates
+    # Rows over transitions, so that inner loops become vector instructions.
+    out, moved = np.empty((outputs, size), np.float32), np.empty((outputs, size), np.float32)
+    away = np.empty((outputs - candidates, size), np.float32)
+    near, gap = np.empty((candidates, size), np.float32), np.empty((candidates, size), np.float32)
+    wrong, mean, total = np.empty((3, size), np.float32)
+    fit = near, gap, mean, total
+    for network in range(networks):
+        for o in range(outputs):
+            for i in range(size):
+                out[o, i] = output[network, i, o]
+        _distances(out, action[network // robots], wires, away)
+        _weigh(out, away, wires, fit)
+        best = out[outputs - candidates :]
+        squares = _F0
+        for i in range(size):
+            value = wires.value_low + wires.value_span * best[0, i] + gap[0, i] - mean[i]
+            wrong[i] = target[network, i] - value
+            squares += wrong[i] * wrong[i]
+        error[network] = squares / np.float32(size)
+        _spread(out, away, wires, fit, wrong, moved)
+        for o in range(outputs):
+            for i in range(size):
+                slope[network, i, o] = moved[o, i]
+
+
+@njit(error_model="numpy")
+def _distances(out: Floats, action: Floats, wires: Wires, away: Floats) -> None:
+    """From each candidate to the action [size, A], in spans [K A, size]."""
+    actions = len(wires.low)
+    for row in range(len(away)):
+        a = row % actions
+        low, unit = wires.low[a], wires.unit[a]
+        within = _F1 if unit != _F0 else _F0
+        for i in range(len(action)):
+            here = min(max(out[row, i], _F0), _F1)
+            away[row, i] = (action[i, a] - low) * unit - within * here
+
+
+@njit(error_model="numpy")
+def _weigh(out: Floats, away: Floats, wires: Wires, fit: Fit) -> None:
+    """Weigh the candidates, by outputs [outputs, size] and their way to the actions [K A, size]."""
+    near, gap, mean, total = fit
+    candidates, actions, size = wires.candidates, len(wires.low), out.shape[1]
+    first = candidates * actions
+    for i in range(size):
+        mean[i], total[i] = out[first, i], _F0
+    for k in range(1, candidates):
+        for i in range(size):
+            mean[i] = max(mean[i], out[first + k, i])  # the best output, for now
+    for k in range(candidates):
+        for i in range(size):
+            gap[k, i] = wires.value_span * (mean[i] - out[first + k, i])
+            near[k, i] = wires.smoothing * gap[k, i] + wires.epsilon
+        for row in range(k * actions, (k + 1) * actions):
+            for i in range(size):
+                near[k, i] += away[row, i] * away[row, i]
+    for i in range(size):
+        mean[i] = _F0
+    for k in range(candidates):
+        for i in range(size):
+            near[k, i] = _F1 / near[k, i]
+            total[i] += near[k, i]
+            mean[i] += near[k, i] * gap[k, i]
+    for i in range(size):
+        mean[i] /= total[i]
+
+
+@njit(error_model="numpy")
+def _spread(
+    out: Floats, away: Floats, wires: Wires, fit: Fit, wrong: Floats, slope: Floats
+) -> None:
+    """The gradients [outputs, size] of transitions whose TD errors are `wrong` [size].
+
+    Their derivation stands with `wire_fit`; the best candidates share what goes to q_max.
+    """
+    near, gap, mean, total = fit
+    candidates, actions, size = wires.candidates, len(wires.low), out.shape[1]
+    first = candidates * actions
+    rest, ties = np.ones(size, np.float32), np.zeros(size, np.float32)
+    more = np.empty(size, np.float32)
+    for k in range(candidates):
+        for i in range(size):
+            share = near[k, i] / total[i]
+            more[i] = share * near[k, i] * (gap[k, i] - mean[i])
+            by_gap = share - wires.smoothing * more[i]
+            slope[first + k, i] = -wrong[i] * wires.value_span * by_gap
+            rest[i] -= by_gap
+            ties[i] += _F1 if gap[k, i] == _F0 else _F0
+        for row in range(k * actions, (k + 1) * actions):
+            unit = wires.unit[row % actions]
+            for i in range(size):
+                inside = _F0 <= out[row, i] <= _F1 and unit != _F0
+                step = wrong[i] * _F2 * away[row, i] * more[i]
+                slope[row, i] = step if inside else _F0
+    for k in range(candidates):
+        for i in range(size):
+            part = wrong[i] * wires.value_span * rest[i] / ties[i]
+            slope[first + k, i] -= part if gap[k, i] == _F0 else _F0
+
+
+@njit(cache=True, error_model="numpy")
+def _descend(
+    weight: Floats,
+    gradient: Floats,
+    moments: tuple[Floats, Floats],
+    steps: Floats,
+    learning_rate: Floats,
+    adam: bool,
+) -> None:
+    """One step of every network that stays finite, by Adam or by the gradient itself."""
+    changed = np.empty(weight.shape[1], np.float32)
+    for n in range(len(weight)):
+        if adam:
+            steps[n] += _F1
+            _adam(gradient[n], moments[0][n], moments[1][n], steps[n])
+        finite = True
+        for c in range(len(changed)):
+            changed[c] = weight[n, c] - learning_rate[n] * gradient[n, c]
+            finite &= math.isfinite(changed[c])
+        if finite:
+            weight[n] = changed
+
+
+@njit(error_model="numpy")
+def _adam(gradient: Floats, first: Floats, second: Floats, steps: np.float32) -> None:
+    """Replace the gradient of one network [columns] by Adam's direction."""
+    unbiased1 = -math.expm1(steps * math.log(_BETA1))
+    unbiased2 = -math.expm1(steps * math.log(_BETA2))
+    scale = np.float32(math.sqrt(unbiased2) / unbiased1)
+    for c in range(len(gradient)):
+        first[c] += _MOVE1 * (gradient[c] - first[c])
+        second[c] += _MOVE2 * (gradient[c] * gradient[c] - second[c])
+        gradient[c] = scale * first[c] / (np.sqrt(second[c]) + _SMALL)

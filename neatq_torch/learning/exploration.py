@@ -18,6 +18,7 @@ def _signed(number: int) -> int:
 
 _STEP = 0x9E3779B97F4A7C15
 _DRAWN_TICKS = 64
+_LASTING = ("epsilon", "held", "until_tick")
 _FACTORS = (_signed(0xBF58476D1CE4E5B9), _signed(0x94D049BB133111EB))
 
 
@@ -28,8 +29,8 @@ def _scramble(bits: Tensor) -> Tensor:
     return bits ^ _shift_right(bits, 31)
 
 
-def _shift_right(bits: Tensor, places: int) -> Tensor:
-    return (bits >> places) & ((1 << (64 - places)) - 1)
+def _shift_right(bits: Tensor, shift: int) -> Tensor:
+    return (bits >> shift) & ((1 << (64 - shift)) - 1)
 
 
 class EpsilonGreedy(nn.Module):
@@ -40,7 +41,7 @@ class EpsilonGreedy(nn.Module):
     epsilon-greedy, larger values epsilon-z-greedy (Dabney, Ostrovski & Barreto 2021), whose runs
     leave the path instead of stepping off it for one tick.
 
-    The numbers are a function of (seed of the arena, robot, tick) alone, so an arena explores in
+    The numbers are a function of (seed of the arena, slot, tick) alone, so an arena explores in
     the same way whatever stands beside it, on any device, and nothing waits for the host. They are
     drawn for many ticks at a time.
 
@@ -60,6 +61,10 @@ class EpsilonGreedy(nn.Module):
 
     Raises:
         ValueError: If an argument is out of range.
+
+    Example:
+        >>> exploration = EpsilonGreedy((1, 50), seeds=[0], epsilon=0.1)
+        >>> index = exploration(torch.rand(1, 50, 3))  # of 3 candidates
     """
 
     epsilon: Tensor
@@ -83,66 +88,73 @@ class EpsilonGreedy(nn.Module):
             raise ValueError(f"epsilon: expected a probability, got {epsilon}")
         if max_hold_ticks < 1:
             raise ValueError(f"max_hold_ticks: expected at least 1, got {max_hold_ticks}")
-        if len(shape) != 2 or len(seeds) != shape[0]:
-            raise ValueError(f"expected one seed for each arena of {shape}, got {len(seeds)}")
         self.max_hold_ticks = max_hold_ticks
-        self.tick = 0
-        self._candidates = 0  # for which numbers are drawn; 0: none are
-        place = torch.tensor([[_signed(seed * _STEP)] for seed in seeds])
-        robots = torch.tensor([_signed(robot * _STEP) for robot in range(shape[1])])
-        keys = _scramble(_scramble(place) + robots)
-        draws = torch.tensor([_signed(draw * _FACTORS[0]) for draw in range(3)])
-        self.register_buffer("_keys", keys + draws.view(3, 1, 1), persistent=False)
-        self.register_buffer("epsilon", torch.full(tuple(shape), epsilon), persistent=False)
-        empty = torch.zeros(tuple(shape), dtype=torch.long)
-        self.register_buffer("held", empty, persistent=False)
-        self.register_buffer("until_tick", empty.clone(), persistent=False)
-        for name in ("_chance", "_choice", "_end"):
+        self.shape = tuple(shape)
+        self.register_buffer("epsilon", torch.full(self.shape, epsilon), persistent=False)
+        for name in ("held", "until_tick", "_keys", "_chance", "_choice", "_end"):
             self.register_buffer(name, torch.empty(0), persistent=False)
+        self.begin(seeds)
 
-    def forward(self, values: Tensor) -> Tensor:
-        """Take a candidate.
+    def begin(self, seeds: Sequence[int] | Sequence[Sequence[int]]) -> None:
+        """Start anew: tick 0, nothing held, other chance; epsilon stays.
 
         Args:
-            values: Q-values [*shape, K].
+            seeds: One seed for each arena; or one for each slot [arenas][slots], which then
+                explores like the first slot of an arena with that seed.
 
-        Returns:
-            Indices [*shape]; of equal values the first.
+        Raises:
+            ValueError: If there are more or fewer seeds.
         """
+        rows = [one if isinstance(one, Sequence) else [one] for one in seeds]
+        slots = range(1 if rows and isinstance(seeds[0], Sequence) else self.shape[-1])
+        wide = {len(row) * len(slots) for row in rows}
+        if len(self.shape) != 2 or len(rows) != self.shape[0] or wide != {self.shape[1]}:
+            raise ValueError(
+                f"expected one seed for each arena of {self.shape}, or one for each slot, got "
+                f"{len(rows)} of {sorted(wide)} slots"
+            )
+        self.tick = 0
+        self._candidates = 0  # for which numbers are drawn; 0: none are
+        arenas = torch.tensor([[_signed(seed * _STEP) for seed in row] for row in rows])
+        within = torch.tensor([_signed(slot * _STEP) for slot in slots])
+        keys = _scramble(_scramble(arenas) + within)
+        draws = torch.tensor([_signed(draw * _FACTORS[0]) for draw in range(3)])
+        self._keys = (keys + draws.view(3, 1, 1)).to(self.epsilon.device)
+        self.held = torch.zeros_like(self.epsilon, dtype=torch.long)
+        self.until_tick = torch.zeros_like(self.held)
+
+    def forward(self, values: Tensor) -> Tensor:
+        """The candidates to take [*shape], by Q-values [*shape, K]; of equal ones the first."""
         greedy = values.argmax(-1)
         if exploration_type() not in (None, ExplorationType.RANDOM) or values.shape[-1] == 1:
             return greedy
-        place = self._next_tick(values.shape[-1])
+        self.tick += 1
+        drawn = self.tick % _DRAWN_TICKS
+        if drawn == 0 or values.shape[-1] != self._candidates:
+            self._draw(self.tick - drawn, values.shape[-1])
         running = self.until_tick >= self.tick
-        start = (self._chance[place] < self.epsilon) > running
+        start = (self._chance[drawn] < self.epsilon) > running
         held, until_tick = self.held, self.until_tick
-        torch.where(start, self._choice[place], held, out=held)
-        torch.where(start, self._end[place], until_tick, out=until_tick)
+        torch.where(start, self._choice[drawn], held, out=held)
+        torch.where(start, self._end[drawn], until_tick, out=until_tick)
         return torch.where(running | start, held, greedy)
 
     def reset(self, newborn: Tensor) -> None:
         """End the runs of newborns (mask [*shape])."""
         self.until_tick = self.until_tick.masked_fill(newborn, 0)
 
-    def state(self) -> dict[str, Any]:
-        """What a checkpoint must keep: ticks so far, running explorations, epsilon."""
-        names = ("epsilon", "held", "until_tick")
-        return {"tick": self.tick, **{name: getattr(self, name).clone() for name in names}}
+    def state_dict(self, *args: Any, **settings: Any) -> dict[str, Any]:
+        """Ticks so far, running explorations and epsilon; torch's own for a module around it."""
+        if args or settings:
+            return super().state_dict(*args, **settings)
+        return {"tick": self.tick, **{name: getattr(self, name).clone() for name in _LASTING}}
 
-    def load_state(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Go on from `state`."""
         self.tick = state["tick"]
         self._candidates = 0
-        for name in ("epsilon", "held", "until_tick"):
+        for name in _LASTING:
             setattr(self, name, torch.as_tensor(state[name]).to(getattr(self, name)))
-
-    def _next_tick(self, candidates: int) -> int:
-        """Begin a tick; returns its place in the numbers drawn."""
-        self.tick += 1
-        place = self.tick % _DRAWN_TICKS
-        if place == 0 or candidates != self._candidates:
-            self._draw(self.tick - place, candidates)
-        return place
 
     def _draw(self, first: int, candidates: int) -> None:
         """Draw for the ticks from `first` on [ticks, *shape]."""

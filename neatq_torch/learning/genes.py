@@ -8,13 +8,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from neatq_torch.evolution import Replacement, RtNEAT
-from neatq_torch.evolution.chance import generator_from
+from neatq_torch.evolution import Population, Replacement, generator_from
 from neatq_torch.learning.exploration import EpsilonGreedy
-from neatq_torch.learning.learner import State, TDLearner
+from neatq_torch.learning.learner import Saved, TDLearner
 from neatq_torch.learning.objectives import discount_of
 
-WIDEST = 10.0
+GENE_RANGE = 10.0
 """How many times more or less than at the start a gene may become."""
 
 
@@ -22,15 +21,15 @@ class LearningGenes:
     """Learning rate, epsilon and discount of every robot, inherited and mutated like weights.
 
     After OMPAC (Elfwing, Uchibe & Doya 2018), which evolves settings of learning in a population
-    that learns; here rtNEAT selects. A newborn has the genes of its fitter parent, multiplied by
+    that learns; here evolution selects. A newborn has the genes of its fitter parent, multiplied by
     exp(power * N(0, 1)) each; the gene of the discount gamma is 1 - gamma. They stay within a tenth
     and ten times what founders are mutated from, and epsilon and 1 - gamma within 1.
 
     Whoever explores earns less while it does: if that counted, epsilon would only ever fall. So
-    `RtNEAT.record` should be told which ticks count.
+    the population should be told which ticks count (`record`).
 
-    Lessons before the first tick (`ReplayConfig.newborn_updates`) have the configured learning
-    rate.
+    What newborns are taught before their first tick (`ReplayConfig.newborn_updates`) has the
+    configured learning rate.
 
     Args:
         power: Standard deviation of a mutation of the logarithm of a gene.
@@ -52,7 +51,7 @@ class LearningGenes:
         power: float,
         learner: TDLearner,
         exploration: EpsilonGreedy,
-        populations: Sequence[RtNEAT],
+        populations: Sequence[Population],
         seeds: Sequence[int | Sequence[int]],
     ) -> None:
         epsilon = float(exploration.epsilon.flatten()[0])
@@ -66,18 +65,18 @@ class LearningGenes:
                 "cannot mutate"
             )
         self.power = power
-        self.least, self.most = start / WIDEST, np.minimum(start * WIDEST, [np.inf, 1.0, 1.0])
+        self.least, self.most = (
+            start / GENE_RANGE,
+            np.minimum(start * GENE_RANGE, [np.inf, 1.0, 1.0]),
+        )
         self._learner, self._exploration = learner, exploration
         self.generators = [np.random.default_rng(seed) for seed in seeds]
         self._genome_id = np.array(
             [[genome.genome_id for genome in population.genomes] for population in populations]
         )
-        self.values = np.stack(
-            [
-                self._mutated(np.broadcast_to(start, (len(ids), len(start))), rng)
-                for ids, rng in zip(self._genome_id, self.generators, strict=True)
-            ]
-        )
+        founders = np.broadcast_to(start, (self._genome_id.shape[1], len(start)))
+        pairs = zip(self._genome_id, self.generators, strict=True)
+        self.values = np.stack([self._mutated(founders, rng) for _, rng in pairs])
         self.express()
 
     def _mutated(self, genes: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -85,26 +84,35 @@ class LearningGenes:
         moved = genes * np.exp(self.power * rng.standard_normal(genes.shape))
         return moved.clip(self.least, self.most)
 
-    def inherit(self, arena: int, replacement: Replacement) -> None:
-        """Give a newborn its genes; call it for all replacements, in their order."""
-        (parent,) = np.flatnonzero(self._genome_id[arena] == replacement.parents[0])
-        genes = self._mutated(self.values[arena, parent], self.generators[arena])
-        self.values[arena, replacement.slot] = genes
-        self._genome_id[arena, replacement.slot] = replacement.genome.genome_id
+    def inherit(self, arena: int, replacements: Sequence[Replacement]) -> None:
+        """Give newborns their genes; call it for all replacements, in their order.
+
+        A parent may have been replaced in the same call, or been born in it. A genome that is its
+        own parent lives on, and keeps its genes.
+        """
+        values, ids = self.values[arena], self._genome_id[arena]
+        known = dict(zip(ids.tolist(), values.copy(), strict=True))
+        for slot, genome, _, (parent, *_) in replacements:
+            genes = known[parent]
+            if parent != genome.genome_id:
+                genes = self._mutated(genes, self.generators[arena])
+            values[slot], ids[slot] = genes, genome.genome_id
+            known[genome.genome_id] = genes
 
     def express(self) -> None:
         """Let all robots learn and explore as their genes say."""
-        learning_rate, epsilon, impatience = torch.from_numpy(self.values).float().unbind(-1)
+        values = torch.from_numpy(self.values / [self._learner.square, 1.0, 1.0])
+        learning_rate, epsilon, impatience = values.float().unbind(-1)
         self._learner.learning_rate = learning_rate.flatten().to(self._learner.learning_rate)
         self._exploration.epsilon = epsilon.to(self._exploration.epsilon)
         self._learner.loss.discount = (1 - impatience).to(self._learner.learning_rate)
 
-    def state(self) -> State:
+    def state_dict(self) -> Saved:
         """Genes and the state of all chance."""
         states = [generator.bit_generator.state for generator in self.generators]
         return {"values": self.values.copy(), "generators": states}
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`, with the populations as they were then."""
         self.values = np.array(state["values"], dtype=np.float64)
         self.generators = [generator_from(one) for one in state["generators"]]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 import torch
 from torch import Tensor, nn
@@ -14,33 +13,47 @@ from neatq_torch.network import PopulationNetwork
 ValueRange = tuple[float, float]
 
 
-class Heads(Protocol):
-    """What acting and learning ask of heads; they are modules."""
+class Heads(nn.Module):
+    """What acting and learning ask of heads: called, they read candidates and their values.
 
-    candidates: int
-    """Candidates K among which a robot chooses."""
+    The last K outputs are the values.
 
-    actions: int
-    """Numbers A that one action consists of."""
+    Args:
+        candidates: Candidates K among which a robot chooses.
+        actions: Numbers A that one action consists of.
+        value_range: Q-values that the outputs 0 and 1 stand for: Q = low + (high - low) output
+            (Whiteson & Stone 2006). A sigmoid cannot leave the range; for outputs without
+            bounds keep (0, 1), which reads them as they are.
+        outputs: Network outputs that they read; None for the values alone.
 
-    value_range: ValueRange
-    """Q-values that the outputs 0 and 1 stand for."""
+    Raises:
+        ValueError: If the range is empty.
+    """
 
-    @property
-    def outputs(self) -> int:
-        """Network outputs that these heads read."""
-        ...
+    def __init__(
+        self, candidates: int, actions: int, value_range: ValueRange, outputs: int | None = None
+    ) -> None:
+        super().__init__()
+        low, high = value_range
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise ValueError(f"value_range: expected finite low < high, got {low} and {high}")
+        self.candidates = candidates
+        self.actions = actions
+        self.value_range = value_range
+        self.outputs = candidates if outputs is None else outputs
 
-    def __call__(self, output: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, output: Tensor) -> tuple[Tensor, Tensor]:
         """Read outputs [..., outputs] as candidates [..., K, A] and values [..., K]."""
-        ...
+        raise NotImplementedError
 
     def values(self, output: Tensor) -> Tensor:
         """The values [..., K] alone."""
-        ...
+        values = output[..., self.outputs - self.candidates :]
+        low, high = self.value_range
+        return values if self.value_range == (0.0, 1.0) else low + (high - low) * values
 
 
-class CandidateHeads(nn.Module):
+class CandidateHeads(Heads):
     """Reads network outputs as K candidate actions and a Q-value for each.
 
     Candidate c is outputs [A c, A (c + 1)) and its value is output A K + c, the layout of
@@ -52,12 +65,16 @@ class CandidateHeads(nn.Module):
         candidates: K, at least 1.
         low: Smallest action [A].
         high: Largest action [A].
-        value_range: Q-values that the outputs 0 and 1 stand for: Q = low + (high - low) output
-            (Whiteson & Stone 2006). A sigmoid cannot leave the range; for outputs without
-            bounds keep (0, 1), which reads them as they are.
+        value_range: See `Heads`.
 
     Raises:
         ValueError: If K is less than 1 or bounds do not fit each other.
+
+    Example:
+        >>> heads = CandidateHeads(2, low=[-1.0], high=[3.0])
+        >>> candidates, values = heads(torch.tensor([0.0, 1.0, 0.2, 0.7]))
+        >>> candidates[values.argmax()].tolist()
+        [3.0]
     """
 
     low: Tensor
@@ -71,22 +88,15 @@ class CandidateHeads(nn.Module):
         *,
         value_range: ValueRange = (0.0, 1.0),
     ) -> None:
-        super().__init__()
+        outputs = candidates * (len(low) + (candidates > 1))
+        super().__init__(candidates, len(low), value_range, outputs)
         if candidates < 1:
             raise ValueError(f"expected at least 1 candidate, got {candidates}")
         if len(low) != len(high) or any(a > b for a, b in zip(low, high, strict=True)):
             raise ValueError(f"expected low <= high for every action, got {low} and {high}")
-        self.candidates = candidates
-        self.actions = len(low)
-        self.value_range = _checked(value_range)
         smallest = torch.tensor(low, dtype=torch.get_default_dtype())
         self.register_buffer("low", smallest, persistent=False)
         self.register_buffer("span", smallest.new_tensor(high) - smallest, persistent=False)
-
-    @property
-    def outputs(self) -> int:
-        """Network outputs that these heads read."""
-        return self.candidates * (self.actions + (self.candidates > 1))
 
     def forward(self, output: Tensor) -> tuple[Tensor, Tensor]:
         """Split outputs [..., outputs] into candidates [..., K, A] and values [..., K]."""
@@ -96,13 +106,10 @@ class CandidateHeads(nn.Module):
 
     def values(self, output: Tensor) -> Tensor:
         """The values [..., K] alone."""
-        if self.candidates == 1:
-            return torch.zeros_like(output[..., :1])
-        values = output[..., self.candidates * self.actions :]
-        return values if self.value_range == (0.0, 1.0) else _scaled(values, self.value_range)
+        return super().values(output) if self.candidates > 1 else torch.zeros_like(output[..., :1])
 
 
-class DiscreteHeads(nn.Module):
+class DiscreteHeads(Heads):
     """Reads network outputs as the Q-values of discrete actions, as NEAT+Q and DQN have them.
 
     There are as many candidates K as actions, candidate k is the number k, and its value is
@@ -110,48 +117,29 @@ class DiscreteHeads(nn.Module):
 
     Args:
         actions: How many actions there are, at least 1.
-        value_range: Q-values that the outputs 0 and 1 stand for, as in `CandidateHeads`.
+        value_range: See `Heads`.
 
     Raises:
         ValueError: If there is no action or the range is empty.
+
+    Example:
+        >>> candidates, values = DiscreteHeads(3)(torch.tensor([0.1, 0.9, 0.3]))
+        >>> candidates[values.argmax()].tolist()
+        [1.0]
     """
 
     index: Tensor
 
     def __init__(self, actions: int, *, value_range: ValueRange = (0.0, 1.0)) -> None:
-        super().__init__()
+        super().__init__(actions, 1, value_range)
         if actions < 1:
             raise ValueError(f"expected at least 1 action, got {actions}")
-        self.candidates = actions
-        self.actions = 1
-        self.value_range = _checked(value_range)
         index = torch.arange(actions, dtype=torch.get_default_dtype()).unsqueeze(-1)
         self.register_buffer("index", index, persistent=False)
-
-    @property
-    def outputs(self) -> int:
-        """Network outputs that these heads read."""
-        return self.candidates
 
     def forward(self, output: Tensor) -> tuple[Tensor, Tensor]:
         """The candidates [..., K, 1], numbers from 0, and their values [..., K]."""
         return self.index.expand(*output.shape, 1), self.values(output)
-
-    def values(self, output: Tensor) -> Tensor:
-        """The values [..., K] alone."""
-        return output if self.value_range == (0.0, 1.0) else _scaled(output, self.value_range)
-
-
-def _checked(value_range: ValueRange) -> ValueRange:
-    low, high = value_range
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise ValueError(f"value_range: expected finite low < high, got {low} and {high}")
-    return low, high
-
-
-def _scaled(values: Tensor, value_range: ValueRange) -> Tensor:
-    low, high = value_range
-    return low + (high - low) * values
 
 
 def check_heads(network: PopulationNetwork, heads: Heads) -> None:

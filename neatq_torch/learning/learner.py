@@ -3,25 +3,57 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, cast, get_args
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.objectives import SoftUpdate
 
+from neatq_torch.evolution import Population
+from neatq_torch.learning.heads import Heads
 from neatq_torch.learning.objectives import CandidateTDLoss
-from neatq_torch.learning.steps import fitted, take_over, widened
 from neatq_torch.network import PopulationNetwork
 
 ADAM_BETAS, ADAM_EPSILON = (0.9, 0.999), 1e-8
-State = dict[str, Any]
+_KEPT = ("learning_rate", "steps", "first_moment", "second_moment")
+Saved = dict[str, Any]
 """What a checkpoint keeps: JSON values, tensors and numpy arrays by name."""
+
+Inheritance = Literal["lamarckian", "darwinian"]
+"""`lamarckian`: learnt weights are written into the genome before it breeds. `darwinian`: learning
+changes the robot's life and fitness, its genes never."""
+
+
+def write_back(
+    network: PopulationNetwork,
+    populations: Sequence[Population],
+    breeding: Sequence[bool] | None = None,
+) -> None:
+    """Copy every network's weights, bit for bit, into the genome that it was compiled from.
+
+    Args:
+        network: Networks of all robots, arena after arena.
+        populations: The population of each arena.
+        breeding: Whether a population is about to breed; all others are left alone. None: all are.
+
+    Example:
+        >>> write_back(network, [population])
+    """
+    weights = network.link_weights()
+    for arena, population in enumerate(populations):
+        for slot in range(len(population.genomes)):
+            learnt = next(weights)
+            if breeding is None or breeding[arena]:
+                population.write_back(slot, learnt)
 
 
 class Learner(Protocol):
-    """What the training loop asks of learning."""
+    """What the training loop asks of learning; whoever derives from it keeps nothing at first."""
 
     def update(self, batch: TensorDictBase) -> Tensor:
         """Learn from a batch; returns the mean squared TD error of each robot [*shape]."""
@@ -29,18 +61,38 @@ class Learner(Protocol):
 
     def reset(self, newborn: Tensor) -> None:
         """The one door through which newborns (mask [*shape]) come in, with nothing learnt."""
-        ...
 
-    def state(self) -> State:
+    def state_dict(self) -> Saved:
         """Everything that a checkpoint must keep."""
-        ...
+        return {}
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`."""
-        ...
 
 
-class NoLearning:
+_COUNTS = ("max_hold_ticks", "updates", "size", "horizon", "keep_every", "capacity")
+_LEAST = {"newborn_updates": 0} | dict.fromkeys(_COUNTS, 1)
+
+
+def check_settings(config: object) -> None:
+    """Raise ValueError for the first setting of a learner's configuration that is out of range."""
+    for name, value in vars(config).items():
+        if name == "learning_rate" and not 0 <= value < math.inf:
+            raise ValueError(f"{name}: expected a finite number of at least 0, got {value}")
+        if name in ("discount", "trace_decay", "epsilon") and not 0 <= value <= 1:
+            raise ValueError(f"{name}: expected within [0, 1], got {value}")
+        if name in _LEAST and value < _LEAST[name]:
+            raise ValueError(f"{name}: expected at least {_LEAST[name]}, got {value}")
+        if name == "inheritance" and value not in get_args(Inheritance):
+            raise ValueError(f"{name}: expected one of {get_args(Inheritance)}, got {value!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoLearningConfig:
+    """Evolution alone: no exploration, and nothing that genes could inherit."""
+
+
+class NoLearning(Learner):
     """Evolution alone: robots act, and nothing is learnt."""
 
     def __init__(self, network: PopulationNetwork) -> None:
@@ -50,82 +102,127 @@ class NoLearning:
         """No update, so no error: NaN for every robot."""
         return self._error
 
-    def reset(self, newborn: Tensor) -> None:
-        """Nothing to forget."""
-
-    def state(self) -> State:
-        """Nothing to keep."""
-        return {}
-
-    def load_state(self, state: State) -> None:
-        """Nothing to restore."""
-
 
 @dataclass(frozen=True, kw_only=True)
-class LearnerConfig:
-    """How networks learn.
+class StepConfig:
+    """How networks follow the gradient of a TD error, by whichever learner.
 
     Attributes:
-        learning_rate: Step size; applied to the gradient summed over the ticks of a batch.
-        optimizer: `sgd` or `adam` (Kingma & Ba 2015; moments per robot).
+        learning_rate: Step size; applied to the gradient summed over the ticks of a batch. With
+            plain steps (sgd) in units of the network outputs, see `TDLearner`.
+        optimizer: Plain steps, or Adam's (Kingma & Ba 2015; moments per robot).
         target_tau: Share of the weights that target parameters take over at each update; None
             bootstraps from the networks themselves.
+        discount: Weight gamma of the next tick's reward in the return.
+        normalize_return: Weigh rewards by 1 - gamma, so that a sigmoid can reach the target.
+        epsilon: Probability of starting to explore, per tick.
+        max_hold_ticks: Longest run of an explored candidate; 1 is plain epsilon-greedy.
+        inheritance: lamarckian: children inherit the weights that were learnt; darwinian: those
+            of birth.
+        genes: Learning rate, epsilon and 1 - discount are genes (`LearningGenes`), mutated by this
+            standard deviation of their logarithm; None: all robots have those given here.
+
+    Example:
+        >>> @dataclass(frozen=True, kw_only=True)
+        ... class SlowConfig(StepConfig):  # of a learner of your own
+        ...     slowness: float = 2.0
     """
 
     learning_rate: float = 0.1
     optimizer: Literal["sgd", "adam"] = "sgd"
     target_tau: float | None = None
+    discount: float = 0.8
+    normalize_return: bool = True
+    epsilon: float = 0.1
+    max_hold_ticks: int = 1
+    inheritance: Inheritance = "lamarckian"
+    genes: float | None = None
 
     def __post_init__(self) -> None:
-        """Check ranges."""
-        if not 0 <= self.learning_rate < math.inf:
-            raise ValueError(
-                f"learning_rate: expected a finite number of at least 0, got {self.learning_rate}"
-            )
+        """Check every value."""
+        check_settings(self)
         if self.optimizer not in ("sgd", "adam"):
             raise ValueError(f"optimizer: expected 'sgd' or 'adam', got {self.optimizer!r}")
         if self.target_tau is not None and not 0 < self.target_tau <= 1:
             raise ValueError(f"target_tau: expected within (0, 1], got {self.target_tau}")
+        if self.genes is None:
+            return
+        if not 0 < self.genes < math.inf:
+            raise ValueError(f"genes: expected a finite number above 0, got {self.genes}")
+        if not (self.epsilon and self.learning_rate and self.discount < 1):
+            raise ValueError(
+                "genes: founders need an epsilon and a learning_rate above 0 and a discount below "
+                f"1, got {self.epsilon}, {self.learning_rate} and {self.discount}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TDConfig(StepConfig):
+    """How every network learns from its own robot's ticks.
+
+    Attributes:
+        trace_decay: lambda of the return; 0 is one-step Q-learning, 1 the whole batch.
+        wires: With `CandidateHeads`, learn the value interpolated between all candidates, which
+            moves them too (`WireFittingLoss`); else that of the candidate that was taken alone.
+
+    Example:
+        >>> config = TDConfig(learning_rate=0.01, optimizer="adam", trace_decay=0.8)
+    """
+
+    trace_decay: float = 0.0
+    wires: bool = False
 
 
 class TDLearner:
     """Trains every network of a population on its own robot's transitions.
 
-    The optimiser's state, the learning rate and the number of steps belong to a robot's place and
-    are cleared when a newborn takes it. An update that would make a weight infinite or NaN is not
-    applied to that robot.
+    With plain steps a learning rate is in units of the network outputs, so that it means the same
+    at any `value_range` of the heads: the gradient of a squared error of Q-values is larger by the
+    square of the range. Adam's steps have no such unit.
+
+    The optimiser's state, the learning rate and the number of steps belong to a robot's slot and
+    are cleared when a newborn takes it. Whoever has no transition of its own in a batch keeps all
+    of it as it is. An update that would make a weight infinite or NaN is not applied to that robot.
 
     Args:
         network: The networks.
         loss: A loss over that network, with reduction `sum`.
-        config: Learning rate and optimiser.
+        config: Learning rate, optimiser and target parameters; the rest is the loss's.
 
     Attributes:
-        learning_rate: Per robot [networks]; may be changed in place.
+        learning_rate: Per robot [networks], in units of Q; may be changed in place.
+        square: What a learning rate of the configuration is divided by for that.
+
+    Example:
+        >>> loss = CandidateTDLoss(CandidateValue(network, heads))
+        >>> loss.make_value_estimator(gamma=0.9)
+        >>> learner = TDLearner(network, loss, TDConfig(learning_rate=0.01, optimizer="adam"))
     """
 
     def __init__(
-        self, network: PopulationNetwork, loss: CandidateTDLoss, config: LearnerConfig
+        self, network: PopulationNetwork, loss: CandidateTDLoss, config: StepConfig
     ) -> None:
         self.network = network
         self.loss = loss
         self.config = config
         self.adam = config.optimizer == "adam"
+        heads = cast(Heads | None, getattr(loss.value_network, "heads", None))
+        low, high = (0.0, 1.0) if heads is None else heads.value_range
+        self.square = 1.0 if self.adam else (high - low) ** 2
         weight = network.weight
-        self.learning_rate = weight.new_full((len(weight),), config.learning_rate)
+        self.learning_rate = weight.new_full((len(weight),), config.learning_rate / self.square)
         self.steps = weight.new_zeros(len(weight))
         self.first_moment = torch.zeros_like(weight, requires_grad=False)
         self.second_moment = torch.zeros_like(weight, requires_grad=False)
-        self.target_update = (
-            SoftUpdate(loss, tau=config.target_tau) if config.target_tau is not None else None
-        )
+        tau = config.target_tau
+        self.target_update = None if tau is None else SoftUpdate(loss, tau=tau)
 
     def update(self, batch: TensorDictBase) -> Tensor:
         """One step of every network.
 
         Args:
             batch: Transitions [*shape, ticks]. Those whose `genome_id` is not that of the network
-                standing in the robot's place now are left out.
+                in the robot's slot now are left out.
 
         Returns:
             Mean squared TD error of each robot before the step [*shape].
@@ -135,18 +232,28 @@ class TDLearner:
         self.loss.loss_mask_key = "own_transition"
         self.network.weight.grad = None
         self.loss(batch).get("loss").backward()
-        self._step()
-        if self.target_update is not None:
-            self.target_update.step()
+        with self.sparing(~own.flatten(0, -2).any(-1)):
+            self._step()
+            if self.target_update is not None:
+                self.target_update.step()
         error = batch.get(self.loss.tensor_keys.priority).squeeze(-1).square()
         return torch.where(own, error, 0).sum(-1) / own.sum(-1).clamp_min(1)
+
+    @contextmanager
+    def sparing(self, spared: Tensor) -> Iterator[None]:
+        """Leave some networks [networks] and their optimiser alone, whatever happens meanwhile."""
+        parts = [self.network.weight.detach(), self.steps, self.first_moment, self.second_moment]
+        parts += [] if self.target_weight is None else [self.target_weight.detach()]
+        before = [part.clone() for part in parts]
+        yield
+        for part, old in zip(parts, before, strict=True):
+            part.copy_(torch.where(spared.view(-1, *(1,) * (part.ndim - 1)), old, part))
 
     @torch.no_grad()
     def _step(self) -> None:
         weight, gradient = self.network.weight, self.network.weight.grad
         assert gradient is not None
-        if self.adam:
-            gradient = self._adam(gradient)
+        gradient = self._adam(gradient) if self.adam else gradient
         take_over(weight, weight - self.learning_rate.unsqueeze(1) * gradient)
 
     def _adam(self, gradient: Tensor) -> Tensor:
@@ -162,21 +269,18 @@ class TDLearner:
 
     @torch.no_grad()
     def reset(self, newborn: Tensor) -> None:
-        """Clear what belongs to the genomes before: moments, steps, target parameters.
-
-        Call it after the newborns' genomes stand in the network.
-        """
+        """Clear moments, steps and targets of the genomes before, once newborns stand there."""
         weight = self.network.weight
-        self.first_moment = widened(self.first_moment, weight)
-        self.second_moment = widened(self.second_moment, weight)
-        rows = newborn.reshape(-1, 1)
-        self.steps.masked_fill_(rows.squeeze(1), 0)
-        self.first_moment.masked_fill_(rows, 0)
-        self.second_moment.masked_fill_(rows, 0)
+        born = newborn.reshape(-1, 1)
+        self.first_moment = fitted(self.first_moment, weight)
+        self.second_moment = fitted(self.second_moment, weight)
+        self.steps.masked_fill_(born.squeeze(1), 0)
+        self.first_moment.masked_fill_(born, 0)
+        self.second_moment.masked_fill_(born, 0)
         target = self.target_weight
         if target is not None:
-            target.data = widened(target.data, weight)
-            target.copy_(torch.where(rows, weight, target))
+            target.data = fitted(target.data, weight)
+            target.copy_(torch.where(born, weight, target))
 
     @property
     def target_weight(self) -> Tensor | None:
@@ -185,24 +289,40 @@ class TDLearner:
             return None
         return self.loss.target_value_network_params["network", "weight"]
 
-    def state(self) -> State:
+    def state_dict(self) -> Saved:
         """Learning rates, moments, steps and target parameters."""
-        state = {
-            "learning_rate": self.learning_rate,
-            "steps": self.steps,
-            "first_moment": self.first_moment,
-            "second_moment": self.second_moment,
-        }
+        state = {name: getattr(self, name) for name in _KEPT}
         if self.target_weight is not None:
             state["target_weight"] = self.target_weight.detach()
         return state
 
     @torch.no_grad()
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`."""
-        for name in ("learning_rate", "steps", "first_moment", "second_moment"):
+        for name in _KEPT:
             own = getattr(self, name)
             own.copy_(fitted(state[name], own))
         target = self.target_weight
         if target is not None:
             target.copy_(fitted(state["target_weight"], target))
+
+
+def take_over(weight: Tensor, changed: Tensor, wanted: Tensor | None = None) -> Tensor:
+    """Put changed weights [networks, columns] in place, but no network's with one not finite.
+
+    Only those `wanted` [networks, 1] change, all if None; returns which did [networks, 1].
+    """
+    finite = torch.isfinite(changed).all(1, keepdim=True)
+    if wanted is not None:
+        finite &= wanted
+    weight.copy_(torch.where(finite, changed, weight))
+    return finite
+
+
+def fitted(values: Tensor | np.ndarray, own: Tensor) -> Tensor:
+    """Values [..., old] on the device of `own` [..., columns], cut or padded to as many columns.
+
+    Columns that only one of them has belong to no link or no node, and hold zeros.
+    """
+    values = torch.as_tensor(values).to(own)
+    return nn.functional.pad(values, (0, own.shape[-1] - values.shape[-1]))

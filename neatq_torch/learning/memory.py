@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from neatq_torch.learning.learner import State
+from neatq_torch.learning.learner import Saved
 
 NOW = ("observation", "action", "steps_to_next_obs")
 NEXT = ("observation", "reward", "terminated")
@@ -33,9 +33,6 @@ class TransitionMemory:
         if capacity < 1:
             raise ValueError(f"capacity: expected at least 1, got {capacity}")
         self.capacity = capacity
-        self._clear()
-
-    def _clear(self) -> None:
         self._columns: dict[str, Tensor] = {}
         self._added = 0
 
@@ -46,7 +43,7 @@ class TransitionMemory:
         """Store transitions [...], the first of a flat order first.
 
         Those with `genome_id` -1 are left out. What arrives in another order is drawn in another
-        order, so whoever collects in several places must merge in the order of the genomes.
+        order, so whoever collects apart must merge in the order of the genomes.
         """
         own = batch.get("genome_id").squeeze(-1) >= 0
         steps = batch.get("steps_to_next_obs", torch.ones_like(batch.get("genome_id")))
@@ -62,9 +59,9 @@ class TransitionMemory:
                 name: column.new_zeros(self.capacity, *column.shape[1:], device="cpu")
                 for name, column in rows.items()
             }
-        places = (self._added + torch.arange(added)) % self.capacity
+        rooms = (self._added + torch.arange(added)) % self.capacity
         for name, column in rows.items():
-            self._columns[name].index_copy_(0, places, column.to("cpu"))
+            self._columns[name].index_copy_(0, rooms, column.to("cpu"))
         self._added += added
 
     def sample(self, size: int, generator: torch.Generator) -> TensorDictBase:
@@ -79,21 +76,21 @@ class TransitionMemory:
         following = {name: rows[f"next_{name}"] for name in NEXT}
         return TensorDict({name: rows[name] for name in NOW} | {"next": following}, [size])
 
-    def _rows(self, ages: Tensor) -> State:
+    def _rows(self, ages: Tensor) -> Saved:
         """Transitions by age, 0 for the oldest."""
-        # Not by place: what is restored stands in other places.
+        # Not by where they stand: what is restored stands elsewhere.
         oldest = self._added % self.capacity if self._added > self.capacity else 0
-        places = (ages + oldest) % self.capacity
+        rooms = (ages + oldest) % self.capacity
         # A quarter of the time that brackets take.
-        return {name: column.index_select(0, places) for name, column in self._columns.items()}
+        return {name: column.index_select(0, rooms) for name, column in self._columns.items()}
 
-    def state(self) -> State:
+    def state_dict(self) -> Saved:
         """All transitions, the oldest first."""
         return self._rows(torch.arange(len(self)))
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`."""
-        self._clear()
+        self._columns, self._added = {}, 0
         if state:
             one = torch.ones(len(state["next_reward"]), 1, dtype=torch.long)
             rows = {"steps_to_next_obs": one} | state
@@ -106,9 +103,10 @@ def over_horizon(
     """Transitions that reach so many ticks ahead, for n-step returns (Sutton 1988).
 
     The reward is the discounted sum r_1 + gamma r_2 + ... up to the state that is next now; it
-    ends early where the life or the batch does. How many ticks that were stands in
-    `steps_to_next_obs`, from which TorchRL's estimators take the discount of what follows. What
-    was done in these ticks was not the choice of whoever learns from it; nothing corrects for that.
+    ends early where the life or the batch does, and where somebody else, or nobody, acts from then
+    on. How many ticks that were stands in `steps_to_next_obs`, from which TorchRL's estimators take
+    the discount of what follows. What was done in these ticks was not the choice of whoever learns
+    from it; nothing corrects for that.
 
     Args:
         batch: [..., ticks] with `observation`, `action`, `genome_id` and
@@ -121,10 +119,12 @@ def over_horizon(
     Returns:
         The transitions [..., kept], on the CPU.
     """
-    reward, done = (
-        batch.get(("next", name)).cpu().reshape(-1, batch.shape[-1]).numpy()
-        for name in ("reward", "done")
+    reward, done, owner = (
+        batch.get(name).cpu().reshape(-1, batch.shape[-1]).numpy()
+        for name in (("next", "reward"), ("next", "done"), "genome_id")
     )
+    done = done.copy()
+    done[:, :-1] |= owner[:, 1:] != owner[:, :-1]
     own = discount is None
     rewards, steps = _ahead(reward, done, ticks, 1.0 if own else discount, keep_every, own)
     shape = (*batch.shape[:-1], steps.shape[-1], 1)
@@ -151,27 +151,24 @@ def _ahead(
     keep_every: int,
     by_tick: bool,
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Rewards [robots, kept, columns] and of how many ticks, from every so many ticks on.
-
-    There is one column, the discounted sum, or one for each tick.
-    """
+    """Rewards [robots, kept, 1: the discounted sum, or one a tick], and of how many ticks."""
     robots, length = reward.shape
     kept = (length + keep_every - 1) // keep_every
     rewards = np.zeros((robots, kept, ticks if by_tick else 1), np.float32)
     steps = np.zeros((robots, kept), np.int64)
     for robot in range(robots):
-        for place in range(kept):
-            first, weight, total = place * keep_every, 1.0, 0.0
+        for begun in range(kept):
+            first, weight, total = begun * keep_every, 1.0, 0.0
             for tick in range(first, min(first + ticks, length)):
                 if by_tick:
-                    rewards[robot, place, tick - first] = reward[robot, tick]
+                    rewards[robot, begun, tick - first] = reward[robot, tick]
                 total += weight * reward[robot, tick]
                 weight *= discount
-                steps[robot, place] += 1
+                steps[robot, begun] += 1
                 if done[robot, tick]:
                     break
             if not by_tick:
-                rewards[robot, place, 0] = total
+                rewards[robot, begun, 0] = total
     return rewards, steps
 
 

@@ -1,8 +1,10 @@
-"""Training on stored transitions, before the first tick of a life or during it."""
+"""Learning from stored transitions: from what all robots did, during life and before it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -10,65 +12,160 @@ from torch import Tensor
 
 from neatq_torch.learning import compiled_wires
 from neatq_torch.learning.heads import CandidateHeads
-from neatq_torch.learning.learner import LearnerConfig, TDLearner
-from neatq_torch.learning.memory import NEXT, NOW, TransitionMemory, summed_up
-from neatq_torch.learning.objectives import CandidateTDLoss
+from neatq_torch.learning.learner import Saved, StepConfig, TDLearner
+from neatq_torch.learning.memory import NEXT, NOW, TransitionMemory, over_horizon, summed_up
+from neatq_torch.learning.objectives import CandidateTDLoss, discount_of
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 from neatq_torch.network import PopulationNetwork
 
-PRETRAINING = LearnerConfig(learning_rate=0.01, optimizer="adam")
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayConfig(StepConfig):
+    """How every network learns from what all robots of its arena did.
+
+    Attributes:
+        updates: Minibatches on which every network is trained after each batch of ticks.
+        newborn_updates: Minibatches on which a newborn is trained before its first tick.
+        size: Transitions of a minibatch.
+        horizon: Ticks of reward that a transition sums up before the value of what follows, as far
+            as the batch reaches.
+        keep_every: Of the ticks of each robot, one in so many is remembered.
+        capacity: Transitions that an arena remembers.
+
+    Example:
+        >>> config = ReplayConfig(learning_rate=0.03, optimizer="adam", newborn_updates=100)
+    """
+
+    updates: int = 4
+    newborn_updates: int = 0
+    size: int = 64
+    horizon: int = 1
+    keep_every: int = 4
+    capacity: int = 20_000
 
 
-def pretrain(
-    network: PopulationNetwork,
-    loss: CandidateTDLoss,
-    memories: Sequence[TransitionMemory],
-    config: LearnerConfig = PRETRAINING,
-    *,
-    steps: int,
-    batch: int,
-    generators: Sequence[torch.Generator],
-    memory_of: Sequence[int] | None = None,
-) -> Tensor:
-    """Train every network on stored transitions of its arena, before its first tick.
+class ReplayLearner:
+    """Trains every network on transitions of all robots of its arena (Lin 1992), off-policy.
 
-    It costs no sample: newborns begin with what the population has seen (Whiteson & Stone 2006,
-    "Sample-efficient evolutionary function approximation"). All networks that learn from a memory
-    see the same minibatches, drawn once by the memory's generator alone, and each bootstraps from
-    its own values; so the result does not depend on what other networks stand beside. Errors are
-    one-step.
+    A transition counts for every network of the arena, whoever made it. A discrete action is the
+    candidate of that number; `WireFittingLoss` says what a network holds of a continuous one, which
+    is none of its candidates. All networks of an arena see the same minibatches, and each
+    bootstraps from its own values. Recurrent state counts as empty before every transition.
+    Newborns can be taught before their first tick, which costs no sample (Whiteson & Stone 2006,
+    "Sample-efficient evolutionary function approximation").
 
-    The action of a stored transition is no candidate of another genome. With discrete actions it is
-    the candidate of that number. Continuous ones are learnt from by the value that a
-    `WireFittingLoss` interpolates for them. Recurrent state counts as empty before every
-    transition.
+    Memories and chance belong to an arena, so what it learns does not depend on the arenas beside:
+    one in which nobody lived during a batch does not learn from its memory either.
 
     Args:
-        network: Networks of shape (arenas, robots), changed in place.
-        loss: A loss over that network, with reduction `sum`.
-        memories: One for each arena; or any, if `memory_of` says who learns from which.
-        config: Learning rate, for the gradient summed over a minibatch, and optimiser.
-        steps: Minibatches.
-        batch: Transitions of a minibatch.
-        generators: One for each memory, on the CPU.
-        memory_of: The place in `memories` from which the robots of each arena learn [arenas].
-            None: each arena has its own.
-
-    Returns:
-        Mean squared TD error of each network on the last minibatch [*shape].
+        learner: Trains the networks of all robots; with `CandidateHeads` by a `WireFittingLoss`.
+        make_loss: Makes such a loss over other networks: those of newborns.
+        config: How much is remembered and how often it is learnt from.
+        seeds: One seed for each arena.
 
     Raises:
-        ValueError: If steps or batch is less than 1, there is not one memory for each arena and one
-            generator for each memory, a memory is empty, or a loss by candidate is asked to learn
-            from continuous actions.
+        ValueError: If a loss by candidate is to learn from continuous actions.
+
+    Example:
+        >>> def make_loss(network):
+        ...     loss = WireFittingLoss(CandidateValue(network, heads, propose=True))
+        ...     loss.make_value_estimator(gamma=0.9)
+        ...     return loss
+        >>> config = ReplayConfig(learning_rate=0.03, optimizer="adam")
+        >>> learner = TDLearner(network, make_loss(network), config)
+        >>> learner = ReplayLearner(learner, make_loss, config, seeds=[0])
     """
-    if steps < 1 or batch < 1:
-        raise ValueError(f"expected at least 1 step and 1 transition, got {steps} and {batch}")
-    rows = list(range(len(memories)) if memory_of is None else memory_of)
-    _check(network.shape[0], loss, memories, generators, rows)
-    learner = TDLearner(network, loss, config)
-    learner.reset(torch.ones_like(network.genome_id, dtype=torch.bool))
-    return rehearse(learner, memories, generators, rows, steps=steps, batch=batch)
+
+    def __init__(
+        self,
+        learner: TDLearner,
+        make_loss: Callable[[PopulationNetwork], CandidateTDLoss],
+        config: ReplayConfig,
+        seeds: Sequence[int],
+    ) -> None:
+        continuous = isinstance(learner.loss.value_network.heads, CandidateHeads)
+        if continuous and not isinstance(learner.loss, WireFittingLoss):
+            raise ValueError(
+                "a stored continuous action is no candidate of another genome; use a "
+                "WireFittingLoss"
+            )
+        self.learner = learner
+        self.config = config
+        self._make_loss = make_loss
+        self.memories = [TransitionMemory(config.capacity) for _ in seeds]
+        self.generators = [torch.Generator().manual_seed(seed) for seed in seeds]
+
+    def update(self, batch: TensorDictBase) -> Tensor:
+        """Remember a batch [arenas, robots, ticks] and learn from what is remembered.
+
+        Returns:
+            Mean squared TD error of each network on the last minibatch [arenas, robots].
+        """
+        loss, config = self.learner.loss, self.config
+        gamma = discount_of(loss) if loss.discount is None else None
+        ahead = over_horizon(batch, config.horizon, gamma, keep_every=config.keep_every)
+        for memory, own in zip(self.memories, ahead, strict=True):
+            memory.extend(cast(TensorDictBase, own).reshape(-1))
+        asleep = (batch.get("genome_id") < 0).flatten(1).all(1)
+        if not asleep.any():
+            return self._rehearse()
+        states = [generator.get_state() for generator in self.generators]
+        with self.learner.sparing(asleep.repeat_interleave(batch.shape[1])):
+            error = self._rehearse()
+        for arena in asleep.nonzero().flatten().tolist():
+            self.generators[arena].set_state(states[arena])
+        return torch.where(asleep.unsqueeze(1).to(error.device), 0, error)
+
+    def _rehearse(self) -> Tensor:
+        each = self.memories, self.generators, range(len(self.memories))
+        return rehearse(self.learner, *each, steps=self.config.updates, batch=self.config.size)
+
+    def reset(self, newborn: Tensor) -> None:
+        """Teach newborns (mask [arenas, robots]) and clear what belonged to those before."""
+        if self.config.newborn_updates and len(self.memories[0]) and newborn.any():
+            self._teach(newborn)
+        self.learner.reset(newborn)
+
+    def _teach(self, newborn: Tensor) -> None:
+        network, config, discount = self.learner.network, self.config, self.learner.loss.discount
+        slots = newborn.flatten().nonzero().flatten().tolist()
+        arenas = sorted({slot // network.shape[1] for slot in slots})  # no other arena may draw
+        memory_of = [arenas.index(slot // network.shape[1]) for slot in slots]
+        memories = [self.memories[arena] for arena in arenas]
+        generators = [self.generators[arena] for arena in arenas]
+        own = None if discount is None else discount.flatten()[slots]
+        if compiled_wires.can_teach(self.learner):
+            pupils = compiled_wires.newborns_of(self.learner, slots)
+            drawn = _draw(memories, generators, config.newborn_updates * config.size)
+            shared = [drawn[row] for row in memory_of]
+            compiled_wires.learn(pupils, self.learner, shared, config.newborn_updates, own)
+            network.weight.data[slots] = torch.from_numpy(pupils.weight)
+            return
+        genomes = [network.genome(slot) for slot in slots]
+        shape = (len(slots), 1)
+        young = PopulationNetwork(genomes, shape=shape, evaluation=network.evaluation)
+        loss = self._make_loss(young.to(network.weight.device))
+        loss.discount = None if own is None else own.unsqueeze(1)
+        each = TDLearner(young, loss, self.learner.config), memories, generators, memory_of
+        rehearse(*each, steps=config.newborn_updates, batch=config.size)
+        for slot, genome in zip(slots, young.genomes(), strict=True):
+            network.replace(slot, genome)
+
+    def state_dict(self) -> Saved:
+        """The learner's state, all memories and the state of all chance."""
+        return {
+            "learner": self.learner.state_dict(),
+            "memories": [memory.state_dict() for memory in self.memories],
+            "generators": [generator.get_state() for generator in self.generators],
+        }
+
+    def load_state_dict(self, state: Saved) -> None:
+        """Go on from `state`."""
+        self.learner.load_state_dict(state["learner"])
+        for memory, saved in zip(self.memories, state["memories"], strict=True):
+            memory.load_state_dict(saved)
+        for generator, saved in zip(self.generators, state["generators"], strict=True):
+            generator.set_state(torch.as_tensor(saved))
 
 
 def rehearse(
@@ -80,21 +177,28 @@ def rehearse(
     steps: int,
     batch: int,
 ) -> Tensor:
-    """Let a learner take steps on stored transitions; for the arguments see `pretrain`.
+    """Let a learner take steps on stored transitions.
 
-    Compiled code takes the steps where it can (`compiled_wires.serves`), up to rounding the same.
+    Compiled code takes them where it can (`compiled_wires.can_teach`), up to rounding the same.
+
+    Args:
+        learner: Of networks of shape (arenas, robots); its loss has the reduction `sum`.
+        memories: What is learnt from.
+        generators: One for each memory, on the CPU: all chance.
+        memory_of: The number in `memories` from which the robots of each arena learn [arenas].
+        steps: Minibatches.
+        batch: Transitions of a minibatch.
 
     Returns:
         Mean squared TD error of each network on the last minibatch [*shape].
     """
-    drawn = draw(memories, generators, steps * batch)
+    drawn = _draw(memories, generators, steps * batch)
     network = learner.network
-    if compiled_wires.serves(learner):
-        own = None if learner.loss.discount is None else learner.loss.discount.flatten()
+    if compiled_wires.can_teach(learner):
         shared = [drawn[row] for row in memory_of]
-        lessons = compiled_wires.lessons_of(learner, shared, steps, own)
-        pupils = compiled_wires.pupils_of(learner)
-        return torch.from_numpy(compiled_wires.learn(pupils, learner, lessons)).view(network.shape)
+        own = None if learner.loss.discount is None else learner.loss.discount.flatten()
+        last = compiled_wires.learn(compiled_wires.pupils_of(learner), learner, shared, steps, own)
+        return torch.from_numpy(last).view(network.shape)
     error = torch.zeros_like(network.genome_id, dtype=torch.float32)
     for step in range(steps):
         part = [rows[step * batch : (step + 1) * batch] for rows in drawn]
@@ -102,7 +206,7 @@ def rehearse(
     return error
 
 
-def draw(
+def _draw(
     memories: Sequence[TransitionMemory], generators: Sequence[torch.Generator], size: int
 ) -> list[TensorDictBase]:
     """So many transitions of each memory, by its own generator."""
@@ -110,38 +214,16 @@ def draw(
     return [memory.sample(size, generator) for memory, generator in pairs]
 
 
-def _check(
-    arenas: int,
-    loss: CandidateTDLoss,
-    memories: Sequence[TransitionMemory],
-    generators: Sequence[torch.Generator],
-    rows: Sequence[int],
-) -> None:
-    if len(rows) != arenas or len(generators) != len(memories):
-        raise ValueError(
-            f"expected one memory for each of {arenas} arenas and one generator for each memory, "
-            f"got {len(rows)} and {len(generators)}"
-        )
-    if not all(0 <= row < len(memories) for row in rows):
-        raise ValueError(
-            f"memory_of: expected numbers from 0 to {len(memories) - 1}, got {list(rows)}"
-        )
-    candidates = isinstance(loss.value_network.heads, CandidateHeads)
-    if candidates and not isinstance(loss, WireFittingLoss):
-        raise ValueError(
-            "a stored continuous action is no candidate of another genome; use a WireFittingLoss"
-        )
-
-
 def _for_all(
-    learner: TDLearner, drawn: Sequence[TensorDictBase], rows: Sequence[int]
+    learner: TDLearner, drawn: Sequence[TensorDictBase], memory_of: Sequence[int]
 ) -> TensorDict:
     """A minibatch [size] of each memory as transitions [arenas, robots, size] of every network."""
     network, discount = learner.network, learner.loss.discount
     shape = (*network.shape, len(drawn[0]))
 
     def spread(name: str | tuple[str, str]) -> Tensor:
-        own = torch.stack([each.get(name) for each in drawn])[list(rows)].to(network.weight.device)
+        own = torch.stack([each.get(name) for each in drawn])[list(memory_of)]
+        own = own.to(network.weight.device)
         return own.unsqueeze(1).expand(*shape, own.shape[-1])
 
     now = {name: spread(name) for name in NOW}

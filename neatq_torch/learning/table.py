@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,28 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, exploration_type
+
+from neatq_torch.learning.learner import Saved, check_settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableConfig:
+    """How a robot learns in a table, without a network and without evolution.
+
+    Attributes:
+        learning_rate: Step size alpha.
+        discount: Weight gamma of the next tick's reward in the return.
+        epsilon: Probability of exploring, per tick.
+    """
+
+    learning_rate: float = 0.8
+    discount: float = 0.8
+    epsilon: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        check_settings(self)
+
 
 STATE_BINS = 5
 ACTION_BINS = 3
@@ -24,24 +47,13 @@ class QTable:
         shape: (arenas, robots).
         low: Smallest action [A].
         high: Largest action [A].
-        learning_rate: alpha.
-        discount: gamma.
     """
 
-    def __init__(
-        self,
-        shape: Sequence[int],
-        low: Sequence[float],
-        high: Sequence[float],
-        *,
-        learning_rate: float,
-        discount: float,
-    ) -> None:
+    def __init__(self, shape: Sequence[int], low: Sequence[float], high: Sequence[float]) -> None:
         self.shape = tuple(shape)
         levels = [np.linspace(a, b, ACTION_BINS) for a, b in zip(low, high, strict=True)]
         self.actions = np.stack([a.ravel() for a in np.meshgrid(*levels, indexing="ij")], 1)
         self.low, self.high = np.array(low), np.array(high)
-        self.learning_rate, self.discount = learning_rate, discount
         self.values = np.zeros((1024, len(self.actions)))
         self._entries: dict[bytes, int] = {}
 
@@ -63,22 +75,23 @@ class QTable:
         levels = np.rint(unit * (ACTION_BINS - 1)).astype(np.int64)
         return levels @ ACTION_BINS ** np.arange(levels.shape[-1])[::-1]
 
-    def state(self) -> dict[str, np.ndarray]:
+    def state_dict(self) -> Saved:
         """Visited entries as arrays: keys [entries, bytes] and values [entries, actions]."""
         size = len(next(iter(self._entries), b""))
         keys = np.frombuffer(b"".join(self._entries), np.uint8).reshape(len(self._entries), size)
         return {"keys": keys, "values": self.values[: len(self._entries)]}
 
-    def load_state(self, state: dict[str, np.ndarray]) -> None:
+    def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`."""
         self._entries = {key.tobytes(): row for row, key in enumerate(state["keys"])}
         self.values = np.pad(state["values"], ((0, 1024), (0, 0)))
 
 
-class TablePolicy(TensorDictModuleBase):
+class TableActor(TensorDictModuleBase):
     """Epsilon-greedy over the table; an exploratory action is uniform over the whole range.
 
     Reads `observation`, writes `action`. Equal values are told apart at random, as in OpenNERO.
+    A module, as collectors call what is none once more and so draw once more.
 
     Args:
         table: The tables.
@@ -86,12 +99,10 @@ class TablePolicy(TensorDictModuleBase):
         seeds: One seed for each arena.
     """
 
-    def __init__(self, table: QTable, *, epsilon: float, seeds: Sequence[int]) -> None:
+    def __init__(self, table: QTable, epsilon: float, seeds: Sequence[int]) -> None:
         super().__init__()
-        self.in_keys = ["observation"]
-        self.out_keys = ["action"]
-        self.table = table
-        self.epsilon = epsilon
+        self.in_keys, self.out_keys = ["observation"], ["action"]
+        self.table, self.epsilon = table, epsilon
         self.generators = [np.random.default_rng([seed, 2]) for seed in seeds]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -105,8 +116,8 @@ class TablePolicy(TensorDictModuleBase):
         greedy = np.where(best, noise.reshape(values.shape), -1.0).argmax(-1)
         action = table.actions[greedy].reshape(arenas, robots, -1)
         if exploration_type() in (None, ExplorationType.RANDOM):
-            draws = [rng.random((robots, 1 + action.shape[-1])) for rng in self.generators]
-            draw = np.stack(draws)
+            wide = 1 + action.shape[-1]
+            draw = np.stack([rng.random((robots, wide)) for rng in self.generators])
             explore = draw[..., :1] < self.epsilon
             anywhere = table.low + draw[..., 1:] * (table.high - table.low)
             action = np.where(explore, anywhere, action)
@@ -115,11 +126,13 @@ class TablePolicy(TensorDictModuleBase):
     def reset(self, newborn: Tensor) -> None:
         """There are no newborns without evolution."""
 
-    def state(self) -> dict[str, Any]:
-        """The random generators."""
+    def state_dict(self, *args: Any, **settings: Any) -> Saved:
+        """The random generators; torch's own for a module around it."""
+        if args or settings:
+            return super().state_dict(*args, **settings)
         return {"generators": [rng.bit_generator.state for rng in self.generators]}
 
-    def load_state(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, state: Saved) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Go on from `state`."""
         for rng, bits in zip(self.generators, state["generators"], strict=True):
             rng.bit_generator.state = bits
@@ -132,22 +145,32 @@ class TableLearner:
     each tick is used one tick later here. They were negative, so that entries never visited, which
     are 0, look best: the environment's rewards in [0, 1] are moved to [-1, 0]. Tables survive the
     end of a life. With batches of one tick the update is on-line.
+
+    Args:
+        table: The tables.
+        config: Learning rate and discount, and how often the policy explores.
+        seeds: One seed for each arena.
+
+    Attributes:
+        policy: Acts by the tables.
     """
 
-    def __init__(self, table: QTable) -> None:
+    def __init__(self, table: QTable, config: TableConfig, seeds: Sequence[int]) -> None:
         self.table = table
-        self._reward = np.zeros(table.shape)
+        self.config = config
+        self.policy = TableActor(table, config.epsilon, seeds)
+        self._reward = np.zeros(self.table.shape)
 
     def update(self, batch: TensorDictBase) -> Tensor:
         """Learn from transitions [*shape, ticks]; returns the mean squared TD error [*shape]."""
-        table, errors = self.table, []
+        table, config, errors = self.table, self.config, []
         for tick in range(batch.shape[-1]):
             now = table.rows(batch.get("observation")[:, :, tick].numpy())
             following = table.rows(batch.get(("next", "observation"))[:, :, tick].numpy())
             action = table.index(batch.get("action")[:, :, tick].numpy()).ravel()
-            target = self._reward.ravel() + table.discount * table.values[following].max(-1)
+            target = self._reward.ravel() + config.discount * table.values[following].max(-1)
             error = target - table.values[now, action]
-            table.values[now, action] += table.learning_rate * error
+            table.values[now, action] += config.learning_rate * error
             errors.append(error**2)
             self._reward = batch.get(("next", "reward"))[:, :, tick, 0].double().numpy() - 1
         return torch.from_numpy(np.mean(errors, 0).reshape(table.shape))
@@ -155,11 +178,11 @@ class TableLearner:
     def reset(self, newborn: Tensor) -> None:
         """There are no newborns without evolution."""
 
-    def state(self) -> dict[str, np.ndarray]:
+    def state_dict(self) -> Saved:
         """The tables and the latest rewards."""
-        return {**self.table.state(), "reward": self._reward}
+        return {**self.table.state_dict(), "reward": self._reward}
 
-    def load_state(self, state: dict[str, np.ndarray]) -> None:
+    def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`."""
-        self.table.load_state(state)
+        self.table.load_state_dict(state)
         self._reward = state["reward"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -10,8 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from neatq_torch.learning.heads import Heads, check_heads
-from neatq_torch.learning.learner import State
-from neatq_torch.learning.steps import fitted, take_over, widened
+from neatq_torch.learning.learner import Inheritance, Saved, check_settings, fitted, take_over
 from neatq_torch.network import PopulationNetwork
 
 
@@ -20,24 +18,30 @@ class TraceConfig:
     """How networks learn with traces; the defaults are those of NEAT+Q on the mountain car.
 
     Attributes:
-        learning_rate: alpha, in units of the network outputs, see `TraceLearner`.
-        discount: gamma.
-        trace_decay: lambda; 0 is one-step Q-learning.
+        learning_rate: Step size alpha, in units of the network outputs, see `TraceLearner`.
+        discount: Weight gamma of the next tick's reward in the return.
+        trace_decay: lambda of the traces; 0 is one-step Q-learning.
+        anneal: Let the learning rate fall to 0 over the episodes of a life.
+        epsilon: Probability of starting to explore, per tick.
+        max_hold_ticks: Longest run of an explored candidate; 1 is plain epsilon-greedy.
+        inheritance: lamarckian: children inherit the weights that were learnt; darwinian: those
+            of birth.
+
+    Example:
+        >>> config = TraceConfig(discount=0.99, trace_decay=0.9)
     """
 
     learning_rate: float = 0.1
     discount: float = 1.0
     trace_decay: float = 0.6
+    anneal: bool = False
+    epsilon: float = 0.05
+    max_hold_ticks: int = 1
+    inheritance: Inheritance = "darwinian"
 
     def __post_init__(self) -> None:
-        """Check ranges."""
-        if not 0 <= self.learning_rate < math.inf:
-            raise ValueError(
-                f"learning_rate: expected a finite number of at least 0, got {self.learning_rate}"
-            )
-        for name in ("discount", "trace_decay"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name}: expected within [0, 1], got {getattr(self, name)}")
+        """Check every value."""
+        check_settings(self)
 
 
 class TraceLearner:
@@ -60,8 +64,8 @@ class TraceLearner:
     As in NEAT+Q, errors and gradients are those of the network's outputs, before they are scaled to
     the heads' `value_range`, so that a learning rate means the same at any range.
 
-    The trace belongs to a robot's place and is cleared when a newborn takes it. Transitions whose
-    `genome_id` is not that of the network standing in the place now change neither weights nor
+    The trace belongs to a robot's slot and is cleared when a newborn takes it. Transitions whose
+    `genome_id` is not that of the network standing in the slot now change neither weights nor
     trace. An update that would make a weight infinite or NaN is not applied to that robot and
     clears its trace. Gradients do not reach back through recurrent state: the calls before count
     as inputs, as everywhere in this package.
@@ -70,17 +74,27 @@ class TraceLearner:
         network: The networks.
         heads: How their outputs are read.
         config: Learning rate, discount and trace decay; None for the defaults.
+        episodes: Of a life, over which `anneal` lets the learning rate fall.
 
     Attributes:
-        learning_rate: alpha of each robot [networks]; may be changed in place.
+        learning_rate: alpha of each robot [networks]; may be changed in place, unless it falls
+            with the episodes.
         trace: e [networks, columns], as the weights.
 
     Raises:
         ValueError: If heads and networks do not fit, or there is nothing to choose.
+
+    Example:
+        >>> learner = TraceLearner(network, heads, TraceConfig(discount=0.99))
     """
 
     def __init__(
-        self, network: PopulationNetwork, heads: Heads, config: TraceConfig | None = None
+        self,
+        network: PopulationNetwork,
+        heads: Heads,
+        config: TraceConfig | None = None,
+        *,
+        episodes: int | None = None,
     ) -> None:
         check_heads(network, heads)
         if heads.candidates < 2:
@@ -88,6 +102,12 @@ class TraceLearner:
         self.network = network
         self.heads = heads
         self.config = config or TraceConfig()
+        self._episodes = episodes if self.config.anneal else None
+        if self.config.anneal and episodes is None:
+            raise ValueError(
+                "anneal: expected lives of a number of episodes, over which the learning rate can "
+                "fall; got lives without end (a generational population has such)"
+            )
         weight = network.weight
         self.learning_rate = weight.new_full((len(weight),), self.config.learning_rate)
         self.trace = torch.zeros_like(weight, requires_grad=False)
@@ -100,7 +120,8 @@ class TraceLearner:
         Args:
             batch: Transitions [*shape, ticks]: `observation`, `candidate_index`, `genome_id`,
                 `("next", observation / reward / terminated / done)`, and `network_state` and
-                `("next", "network_state")` where networks are recurrent.
+                `("next", "network_state")` where networks are recurrent. If the learning rate
+                falls, also `episode` [*shape, ticks, 1], the number of the episode, from 0.
 
         Returns:
             Mean squared TD error of each robot's own transitions [*shape], in units of Q.
@@ -112,6 +133,9 @@ class TraceLearner:
 
     def _learn(self, batch: TensorDictBase, tick: int, own: Tensor) -> Tensor:
         """One tick of robots `own` [*shape]; returns the TD errors [*shape]."""
+        if self._episodes is not None:
+            lived = batch.get("episode")[..., tick, 0].double() / self._episodes
+            self.learning_rate = (self.config.learning_rate * (1 - lived)).float().flatten()
         values = self._values(batch, tick)
         index = batch.get("candidate_index")[..., tick, None]
         taken = torch.zeros_like(values).scatter_(-1, index, self._unit)
@@ -119,9 +143,11 @@ class TraceLearner:
         with torch.no_grad():
             values = values.detach()
             chosen = values.gather(-1, index).squeeze(-1)
-            error = self._target(batch, tick) - chosen
+            names = ("reward", "terminated", "done")
+            reward, over, done = (batch.get(("next", name))[..., tick, 0] for name in names)
+            best = self._values(batch, tick, "next").amax(-1)
+            error = reward + torch.where(over, 0, self.config.discount * best) - chosen
             greedy = chosen == values.amax(-1)
-            done = batch.get(("next", "done"))[..., tick, 0]
             self._step(gradient, error, greedy, own, done)
         return error
 
@@ -138,12 +164,6 @@ class TraceLearner:
         trace = torch.where(lasting, trace, 0)
         self.trace = torch.where(own.reshape(-1, 1), trace, self.trace)
 
-    def _target(self, batch: TensorDictBase, tick: int) -> Tensor:
-        best = self._values(batch, tick, "next").amax(-1)
-        over = batch.get(("next", "terminated"))[..., tick, 0]
-        reward = batch.get(("next", "reward"))[..., tick, 0]
-        return reward + torch.where(over, 0, self.config.discount * best)
-
     def _values(self, batch: TensorDictBase, tick: int, *root: str) -> Tensor:
         """Q(s) of a tick, or with root "next" Q(s') [*shape, K]."""
         network, observation = self.network, batch.get((*root, "observation"))[..., tick, :]
@@ -154,14 +174,17 @@ class TraceLearner:
 
     def reset(self, newborn: Tensor) -> None:
         """Clear the traces of the genomes before (mask [*shape]), once newborns stand there."""
-        trace = widened(self.trace, self.network.weight)
-        self.trace = trace.masked_fill(newborn.reshape(-1, 1), 0)
+        trace, newborn = fitted(self.trace, self.network.weight), newborn.reshape(-1)
+        self.trace = trace.masked_fill(newborn.unsqueeze(1), 0)
+        if self._episodes is not None:
+            rate = self.config.learning_rate
+            self.learning_rate = self.learning_rate.masked_fill(newborn, rate)
 
-    def state(self) -> State:
+    def state_dict(self) -> Saved:
         """Learning rates and traces."""
         return {"learning_rate": self.learning_rate, "trace": self.trace}
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`."""
         for name in ("learning_rate", "trace"):
             own = getattr(self, name)

@@ -1,4 +1,7 @@
-"""Q-values of any action, interpolated between the candidates: wire fitting."""
+"""Q-values of any action, interpolated between the candidates: wire fitting.
+
+Here stands what is learnt; `compiled_wires.py` is the compiled form of it.
+"""
 
 # TorchRL declares names of its losses as properties and overrides them with attributes.
 # pyright: reportIncompatibleVariableOverride=false
@@ -33,7 +36,12 @@ def wire_fit(
     q_max is differentiated like everything else, so the gradient is that of this function: those of
     all values sum to 1, and that of the best value at the best candidate goes to 1, where wire
     fitting is the plain TD step. The derivatives in the papers hold q_max constant, which there
-    multiplies the gradient of the best value by up to K.
+    multiplies the gradient of the best value by up to K. With n = 1 / D, the gaps g = q_max - q and
+    their mean M by n,
+
+        Q = q_max - M,
+        dM/dg_k = n_k / sum n - c n_k^2 (g_k - M) / sum n,
+        dQ/du_k = -2 (a - u_k) n_k^2 (g_k - M) / sum n.
 
     Args:
         action: a [..., A].
@@ -52,28 +60,6 @@ def wire_fit(
     return best.squeeze(-1) - (nearness * gap).sum(-1) / nearness.sum(-1)
 
 
-SEPARATION_WIDTH = 0.1
-"""Distance between candidates, in spans, within which they hardly push each other harder."""
-
-
-def closeness(candidates: Tensor) -> Tensor:
-    """How close candidates are to each other: what keeps them apart when it is minimised.
-
-    The mean over pairs of 1 / sqrt(|u_i - u_j|^2 + width^2), after the separation loss of Q3C
-    (Korkmaz et al. 2025), but with a gradient that stays finite where candidates meet.
-
-    Args:
-        candidates: u [..., K, A], in spans.
-
-    Returns:
-        [...]; 0 where there is only one candidate.
-    """
-    apart = candidates.unsqueeze(-2) - candidates.unsqueeze(-3)
-    near = (apart.square().sum(-1) + SEPARATION_WIDTH**2).rsqrt()
-    count = candidates.shape[-2]
-    return near.tril(-1).sum((-2, -1)) / max(count * (count - 1) / 2, 1)
-
-
 class WireFittingLoss(CandidateTDLoss):
     """Half the squared TD error of the wire-fitted value of the action that was taken.
 
@@ -89,13 +75,16 @@ class WireFittingLoss(CandidateTDLoss):
         value_network: A `CandidateValue` over `CandidateHeads` that also proposes.
         smoothing: c of `wire_fit`.
         epsilon: epsilon of `wire_fit`.
-        separation: Weight of `closeness`, which is added to the loss of each transition.
         settings: See `CandidateTDLoss`.
 
     Input: `action` [*shape, ticks, A] instead of `candidate_index`, else as `CandidateTDLoss`.
 
     Raises:
         ValueError: If the value network proposes no candidates.
+
+    Example:
+        >>> loss = WireFittingLoss(CandidateValue(network, heads, propose=True))
+        >>> loss.make_value_estimator(gamma=0.9)
     """
 
     @dataclass
@@ -115,7 +104,6 @@ class WireFittingLoss(CandidateTDLoss):
         *,
         smoothing: float = 0.1,
         epsilon: float = 1e-4,
-        separation: float = 0.0,
         **settings: Any,
     ) -> None:
         heads = value_network.heads
@@ -128,7 +116,6 @@ class WireFittingLoss(CandidateTDLoss):
         low, high = heads.value_range
         self.smoothing = smoothing / (high - low)
         self.epsilon = epsilon
-        self.separation = separation
         # An action of which only one value is allowed is no distance away.
         unit = torch.where(heads.span > 0, 1 / heads.span, 0)
         self.register_buffer("unit", unit, persistent=False)
@@ -138,8 +125,3 @@ class WireFittingLoss(CandidateTDLoss):
         action, candidates = (data.get(key) * self.unit for key in (keys.action, keys.candidates))
         values = data.get(keys.action_value)
         return wire_fit(action, candidates, values, self.smoothing, self.epsilon).unsqueeze(-1)
-
-    def _penalty(self, data: TensorDictBase) -> Tensor | float:
-        if not self.separation:
-            return 0.0
-        return self.separation * closeness(data.get(self.tensor_keys.candidates) * self.unit)

@@ -1,14 +1,6 @@
 """Genomes as torch modules."""
 
 from neatq_torch.network.plan import Evaluation
-from neatq_torch.network.population import PopulationNetwork
-from neatq_torch.network.sensitivity import perturbation_scales, sensitivity
-from neatq_torch.network.single import GenomeNetwork
+from neatq_torch.network.population import GenomeNetwork, PopulationNetwork
 
-__all__ = [
-    "Evaluation",
-    "GenomeNetwork",
-    "PopulationNetwork",
-    "perturbation_scales",
-    "sensitivity",
-]
+__all__ = ["Evaluation", "GenomeNetwork", "PopulationNetwork"]

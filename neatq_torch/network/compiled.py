@@ -12,12 +12,12 @@ from torch.autograd import forward_ad
 from torch.nn import Parameter
 
 from neatq_torch.network import kernels
-from neatq_torch.network.population_plan import Plan
+from neatq_torch.network.levels import Plan
 
 _STATELESS = np.empty((1, 1, 0), np.float32)
 
 
-def serves(*tensors: Tensor) -> bool:
+def accepts(*tensors: Tensor) -> bool:
     """Whether the kernels can stand in for torch operations on these tensors.
 
     They need plain float32 tensors in the CPU's memory. Whoever traces, transforms or watches
@@ -39,17 +39,7 @@ def serves(*tensors: Tensor) -> bool:
 def evaluate(
     plan: Plan, weight: Tensor, observation: Tensor, state: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Evaluate every network on its observations.
-
-    Args:
-        plan: The evaluation order.
-        weight: [networks, columns].
-        observation: [..., inputs]; the leading dimensions are networks and batch, flat or not.
-        state: [..., state], from the call before.
-
-    Returns:
-        Outputs [..., outputs] and the state for the next call: `state` itself if it is empty.
-    """
+    """Evaluate every network on its observations, as `Levels.evaluate` does."""
     if torch.is_grad_enabled() and (
         weight.requires_grad or observation.requires_grad or state.requires_grad
     ):
@@ -66,7 +56,7 @@ def _forward(
     output = torch.from_numpy(np.empty((*observation.shape[:-1], layout.outputs), np.float32))
     kept = state.new_empty(state.shape) if layout.state else state
     batch = _batch(plan, observation, state, output, kept)
-    kernels.forward(plan.program, layout.rows, _array(weight), *batch)
+    kernels.forward(plan.program, layout.rows, _floats(weight), *batch)
     return output, kept
 
 
@@ -75,16 +65,16 @@ def _batch(
 ) -> kernels.Batch:
     layout, networks = plan.layout, len(plan.program.size)
     size = output.numel() // (networks * layout.outputs)
-    memory = _array(state).reshape(networks, size, layout.state) if layout.state else _STATELESS
+    memory = _floats(state).reshape(networks, size, layout.state) if layout.state else _STATELESS
     return kernels.Batch(
-        _array(observation).reshape(networks, size, layout.inputs),
+        _floats(observation).reshape(networks, size, layout.inputs),
         memory,
-        _array(output).reshape(networks, size, layout.outputs),
-        memory if kept is state else _array(kept).reshape(memory.shape),
+        _floats(output).reshape(networks, size, layout.outputs),
+        memory if kept is state else _floats(kept).reshape(memory.shape),
     )
 
 
-def _array(tensor: Tensor) -> kernels.Floats:
+def _floats(tensor: Tensor) -> kernels.Floats:
     """The memory of a tensor, or a copy if it is not contiguous."""
     if tensor.requires_grad:
         tensor = tensor.detach()
@@ -117,7 +107,7 @@ class _Evaluate(torch.autograd.Function):
         wanted = ctx.needs_input_grad[1:]
         if (
             torch.is_grad_enabled()
-            or not serves(*gradients)
+            or not accepts(*gradients)
             or is_legacy_batchedtensor(gradients[0])
         ):
             return None, *_by_torch(plan, ctx.saved_tensors[:3], gradients, wanted)
@@ -126,9 +116,9 @@ class _Evaluate(torch.autograd.Function):
         kernels.backward(
             plan.program,
             plan.layout.rows,
-            _array(weight),
+            _floats(weight),
             _batch(plan, observation, state, output, state),
-            _array(found[0]),
+            _floats(found[0]),
             _batch(plan, found[1], found[2], *gradients),
             further,
         )

@@ -3,7 +3,7 @@
 Values of one network are rows of a small scratch array, and one row holds the same value for up to
 `_BLOCK` observations, so inner loops run over observations. Every sum is in one fixed order, and
 products and sums are rounded one by one: results of an observation have the same bits whatever its
-batch, its place and its neighbours. Therefore there is no `fastmath` here, which would reorder
+batch, its slot and its neighbours. Therefore there is no `fastmath` here, which would reorder
 sums and contract them. `_dot` alone, which adds up observations for the gradient of a weight, is
 free to keep partial sums: their order is fixed by the number of observations.
 
@@ -19,11 +19,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from neatq_torch.genome.vocabulary import ACTIVATIONS
+from neatq_torch.genome.rules import ACTIVATIONS
 from neatq_torch.network.plan import Program
 
 Floats = NDArray[np.float32]
-Flags = NDArray[np.bool_]
+LiveLinks = NDArray[np.bool_]
 
 
 class Batch(NamedTuple):
@@ -45,12 +45,10 @@ class Batch(NamedTuple):
 _BLOCK = 128  # observations: the rows of one network stay within the first-level cache
 _FEW = 8  # outputs: fewer are summed one by one, more as a vector
 
-_SIGMOID = ACTIVATIONS.index("sigmoid")
-_STEEP_SIGMOID = ACTIVATIONS.index("steep_sigmoid")
-_TANH = ACTIVATIONS.index("tanh")
-_RELU = ACTIVATIONS.index("relu")
+_SIGMOID, _STEEP_SIGMOID = ACTIVATIONS.index("sigmoid"), ACTIVATIONS.index("steep_sigmoid")
+_TANH, _RELU = ACTIVATIONS.index("tanh"), ACTIVATIONS.index("relu")
 
-_ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
+ZERO, _HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
 _STEEP, _HALF_STEEP = np.float32(4.9), np.float32(2.45)
 
 # tanh(x) = x P(x^2) / Q(x^2): the minimax approximation of Eigen (MathFunctionsImpl.h,
@@ -85,65 +83,53 @@ def _scalar(x: np.float32, activation: int) -> np.float32:
     if activation == _TANH:
         return _tanh(x)
     if activation == _RELU:
-        return _ZERO if x <= _ZERO else x
+        return ZERO if x <= ZERO else x
     return x
 
 
 @njit(error_model="numpy")
 def _activate(values: Floats, activation: int) -> None:
     """Apply one activation to values [n]."""
-    if activation == _SIGMOID:
-        for i in range(len(values)):
-            values[i] = _scalar(values[i], _SIGMOID)
-    elif activation == _STEEP_SIGMOID:
-        for i in range(len(values)):
-            values[i] = _scalar(values[i], _STEEP_SIGMOID)
-    elif activation == _TANH:
-        for i in range(len(values)):
-            values[i] = _scalar(values[i], _TANH)
-    elif activation == _RELU:
-        for i in range(len(values)):
-            values[i] = _scalar(values[i], _RELU)
+    for i in range(len(values)):
+        values[i] = _scalar(values[i], activation)
 
 
 @njit(error_model="numpy")
 def _derive(gradient: Floats, values: Floats, activation: int) -> None:
     """Multiply gradients [n] by the derivative of the activation that gave `values` [n]."""
-    if activation == _SIGMOID:
-        for i in range(len(values)):
-            gradient[i] *= values[i] * (_ONE - values[i])
-    elif activation == _STEEP_SIGMOID:
-        for i in range(len(values)):
-            gradient[i] *= _STEEP * (values[i] * (_ONE - values[i]))
-    elif activation == _TANH:
-        for i in range(len(values)):
-            gradient[i] *= _ONE - values[i] * values[i]
-    elif activation == _RELU:
-        for i in range(len(values)):
-            gradient[i] *= _ZERO if values[i] <= _ZERO else _ONE
+    for i in range(len(values)):
+        y = values[i]
+        if activation == _SIGMOID:
+            gradient[i] *= y * (ONE - y)
+        elif activation == _STEEP_SIGMOID:
+            gradient[i] *= _STEEP * (y * (ONE - y))
+        elif activation == _TANH:
+            gradient[i] *= ONE - y * y
+        elif activation == _RELU:
+            gradient[i] *= ZERO if y <= ZERO else ONE
 
 
 @njit(error_model="numpy")
 def _dense_one(
-    weight: Floats, live: Flags, network: int, values: Floats, sensors: int, outputs: int
+    weight: Floats, live: LiveLinks, network: int, values: Floats, sensors: int, outputs: int
 ) -> None:
     """Add up a network's dense links for one observation: values [rows], sensors to outputs."""
     if outputs < _FEW:
         for o in range(outputs):
-            total = _ZERO
+            total = ZERO
             for s in range(sensors):
                 c = s * outputs + o
-                total += values[s] * (weight[network, c] if live[network, c] else _ZERO)
+                total += values[s] * (weight[network, c] if live[network, c] else ZERO)
             values[sensors + o] = total
         return
     for o in range(outputs):
-        values[sensors + o] = _ZERO
+        values[sensors + o] = ZERO
     for s in range(sensors):
         value = values[s]
         for o in range(outputs):
             c = s * outputs + o
             w = weight[network, c]
-            values[sensors + o] += value * (w if live[network, c] else _ZERO)
+            values[sensors + o] += value * (w if live[network, c] else ZERO)
 
 
 @njit(error_model="numpy")
@@ -178,11 +164,11 @@ def _forward_one(program: Program, rows: int, weight: Floats, batch: Batch) -> N
         states, hidden = program.size[network, 1], program.size[network, 2]
         for i in range(inputs):
             values[i] = observation[network, 0, i]
-        values[inputs] = _ONE
+        values[inputs] = ONE
         for i in range(states):
             values[first_state + i] = state[network, 0, i]
         for i in range(hidden):
-            values[first_state + states + i] = _ZERO
+            values[first_state + states + i] = ZERO
         _dense_one(weight, program.live, network, values, sensors, outputs)
         _evaluate_one(program, weight, network, sensors * outputs, values)
         for i in range(outputs):
@@ -190,15 +176,23 @@ def _forward_one(program: Program, rows: int, weight: Floats, batch: Batch) -> N
         for i in range(states):
             kept[network, 0, i] = values[program.kept[network, i]]
         for i in range(states, kept.shape[2]):
-            kept[network, 0, i] = _ZERO
+            kept[network, 0, i] = ZERO
 
 
 @njit(error_model="numpy")
-def _read(rows: Floats, batch: Floats, start: int, n: int) -> None:
+def _read_rows(rows: Floats, batch: Floats, start: int, n: int) -> None:
     """Copy observations [start, start + n) of `batch` [batch, k] into rows [k, n]."""
     for k in range(len(rows)):
         for b in range(n):
             rows[k, b] = batch[start + b, k]
+
+
+@njit(error_model="numpy")
+def _write_rows(batch: Floats, rows: Floats, start: int, n: int) -> None:
+    """Copy rows [k, n] to observations [start, start + n) of `batch` [batch, k]."""
+    for b in range(n):
+        for k in range(len(rows)):
+            batch[start + b, k] = rows[k, b]
 
 
 @njit(error_model="numpy")
@@ -210,7 +204,13 @@ def _add(target: Floats, source: Floats, weight: np.float32, n: int) -> None:
 
 @njit(error_model="numpy")
 def _dense_block(
-    weight: Floats, live: Flags, network: int, values: Floats, sensors: int, outputs: int, n: int
+    weight: Floats,
+    live: LiveLinks,
+    network: int,
+    values: Floats,
+    sensors: int,
+    outputs: int,
+    n: int,
 ) -> None:
     """Add up a network's dense links for n observations: values [rows, block].
 
@@ -219,21 +219,21 @@ def _dense_block(
     whole = sensors - sensors % 4
     for o in range(outputs):
         total = values[sensors + o]
-        total[:n] = _ZERO
+        total[:n] = ZERO
         for s in range(0, whole, 4):
             c0 = s * outputs + o
             c1, c2, c3 = c0 + outputs, c0 + 2 * outputs, c0 + 3 * outputs
-            w0 = weight[network, c0] if live[network, c0] else _ZERO
-            w1 = weight[network, c1] if live[network, c1] else _ZERO
-            w2 = weight[network, c2] if live[network, c2] else _ZERO
-            w3 = weight[network, c3] if live[network, c3] else _ZERO
+            w0 = weight[network, c0] if live[network, c0] else ZERO
+            w1 = weight[network, c1] if live[network, c1] else ZERO
+            w2 = weight[network, c2] if live[network, c2] else ZERO
+            w3 = weight[network, c3] if live[network, c3] else ZERO
             v0, v1, v2, v3 = values[s], values[s + 1], values[s + 2], values[s + 3]
             for b in range(n):
                 two = (total[b] + v0[b] * w0) + v1[b] * w1
                 total[b] = (two + v2[b] * w2) + v3[b] * w3
         for s in range(whole, sensors):
             c = s * outputs + o
-            _add(total, values[s], weight[network, c] if live[network, c] else _ZERO, n)
+            _add(total, values[s], weight[network, c] if live[network, c] else ZERO, n)
 
 
 @njit(error_model="numpy")
@@ -261,10 +261,10 @@ def _read_block(
     inputs, outputs = batch.observation.shape[2], batch.output.shape[2]
     first_state = inputs + 1 + outputs
     first_hidden = first_state + program.size[network, 1]
-    _read(values[:inputs], batch.observation[network], start, n)
-    values[inputs] = _ONE
-    _read(values[first_state:first_hidden], batch.state[network], start, n)
-    values[first_hidden : first_hidden + program.size[network, 2]] = _ZERO
+    _read_rows(values[:inputs], batch.observation[network], start, n)
+    values[inputs] = ONE
+    _read_rows(values[first_state:first_hidden], batch.state[network], start, n)
+    values[first_hidden : first_hidden + program.size[network, 2]] = ZERO
 
 
 @njit(cache=True, error_model="numpy")
@@ -285,10 +285,10 @@ def forward(
         program: The evaluation order.
         rows: Values of the largest network.
         weight: [networks, columns].
-        observation: See `Batch`; likewise `state`.
-        state: See `Batch`.
-        output: Takes the outputs.
-        kept: Takes the state for the next call.
+        observation: See `Batch`, like `state`, `output` and `kept`, which take the results.
+        state: [networks, batch, state].
+        output: [networks, batch, outputs].
+        kept: [networks, batch, state].
     """
     batch = Batch(observation, state, output, kept)
     networks, size, inputs = observation.shape
@@ -300,15 +300,14 @@ def forward(
     values = np.empty((rows, min(size, _BLOCK)), np.float32)
     for network in range(networks):
         states = program.size[network, 1]
-        kept[network, :, states:] = _ZERO
+        kept[network, :, states:] = ZERO
         for start in range(0, size, _BLOCK):
             n = min(_BLOCK, size - start)
             _read_block(program, network, batch, values, start, n)
             _dense_block(weight, program.live, network, values, sensors, outputs, n)
             _evaluate_block(program, weight, network, sensors * outputs, values, 0, n)
+            _write_rows(output[network], values[sensors : sensors + outputs], start, n)
             for b in range(n):
-                for o in range(outputs):
-                    output[network, start + b, o] = values[sensors + o, b]
                 for k in range(states):
                     kept[network, start + b, k] = values[program.kept[network, k], b]
 
@@ -316,7 +315,7 @@ def forward(
 @njit(error_model="numpy", fastmath={"reassoc"})
 def _dot(left: Floats, right: Floats, n: int) -> np.float32:
     """Sum of left * right over n observations, in an order that depends on n alone."""
-    total = _ZERO
+    total = ZERO
     for b in range(n):
         total += left[b] * right[b]
     return total
@@ -327,28 +326,30 @@ def _is_zero(values: Floats, n: int) -> bool:
     """Whether the first n values are all zero."""
     other = 0
     for b in range(n):
-        other += values[b] != _ZERO
+        other += values[b] != ZERO
     return other == 0
 
 
 @njit(error_model="numpy")
-def _sparse_adjoint(
+def _adjoint(
     program: Program,
     network: int,
     weight: Floats,
     change: Floats,
-    dense: int,
     values: Floats,
     gradient: Floats,
+    outputs: int,
+    further: bool,
     n: int,
 ) -> None:
-    """Run a network's instructions backwards: gradients [rows, block] flow from targets to sources.
+    """Run a network's links backwards: gradients [rows, block] flow from targets to sources.
 
     Weights and their gradients `change` are those of the network [columns]. A row without any
-    gradient passes none on.
+    gradient passes none on. `further`: on to the observations, not only to the weights.
     """
     instruction, source = program.instruction[network], program.source[network]
-    instructions = program.size[network, 0]
+    live, instructions = program.live[network], program.size[network, 0]
+    dense, sensors = len(live), len(live) // outputs
     link = instruction[:instructions, 2].sum()
     for i in range(instructions - 1, -1, -1):
         row, links = instruction[i, 0], instruction[i, 2]
@@ -360,38 +361,14 @@ def _sparse_adjoint(
         for k in range(link, link + links):
             change[dense + k] += _dot(values[source[k]], gradient[row], n)
             _add(gradient[source[k]], gradient[row], weight[dense + k], n)
-
-
-@njit(error_model="numpy")
-def _dense_adjoint(
-    live: Flags,
-    weight: Floats,
-    change: Floats,
-    values: Floats,
-    gradient: Floats,
-    sensors: int,
-    outputs: int,
-    further: bool,
-    n: int,
-) -> None:
-    """The same for the dense links; `further`: on to the observations, not only to the weights."""
     for o in range(outputs):
         if _is_zero(gradient[sensors + o], n):
             continue
-        for s in range(sensors):
-            c = s * outputs + o
+        for c in range(o, dense, outputs):
             if live[c]:
-                change[c] += _dot(values[s], gradient[sensors + o], n)
+                change[c] += _dot(values[c // outputs], gradient[sensors + o], n)
                 if further:
-                    _add(gradient[s], gradient[sensors + o], weight[c], n)
-
-
-@njit(error_model="numpy")
-def _write(batch: Floats, rows: Floats, start: int, n: int) -> None:
-    """Copy rows [k, n] to observations [start, start + n) of `batch` [batch, k]."""
-    for b in range(n):
-        for k in range(len(rows)):
-            batch[start + b, k] = rows[k, b]
+                    _add(gradient[c // outputs], gradient[sensors + o], weight[c], n)
 
 
 @njit(cache=True, error_model="numpy")
@@ -425,16 +402,16 @@ def backward(
         for start in range(0, size, _BLOCK):
             n = min(_BLOCK, size - start)
             _read_block(program, network, batch, values, start, n)
-            _read(values[sensors:first_state], batch.output[network], start, n)
+            _read_rows(values[sensors:first_state], batch.output[network], start, n)
             _evaluate_block(program, weight, network, dense, values, first_state, n)
-            slope[:, :n] = _ZERO
-            _read(slope[sensors:first_state], gradient.output[network], start, n)
+            slope[:, :n] = ZERO
+            _read_rows(slope[sensors:first_state], gradient.output[network], start, n)
             for k in range(states):
                 for b in range(n):
                     slope[program.kept[network, k], b] += gradient.kept[network, start + b, k]
-            _sparse_adjoint(program, network, w, change, dense, values, slope, n)
-            live = program.live[network]
-            _dense_adjoint(live, w, change, values, slope, sensors, outputs, further, n)
+            _adjoint(program, network, w, change, values, slope, outputs, further, n)
             if further:
-                _write(gradient.observation[network], slope[:inputs], start, n)
-                _write(gradient.state[network], slope[first_state : first_state + states], start, n)
+                _write_rows(gradient.observation[network], slope[:inputs], start, n)
+                _write_rows(
+                    gradient.state[network], slope[first_state : first_state + states], start, n
+                )

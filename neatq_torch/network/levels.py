@@ -1,20 +1,23 @@
-"""Evaluation of a population by torch operations, for every device and every transform.
+"""The plans of all networks side by side, and their evaluation by torch operations.
 
-The networks are one graph. It is evaluated level by level: a level adds all links into its nodes,
-then activates them. No step waits for the device, and none is a loop over networks.
+Those serve every device and every transform. The networks are one graph, evaluated level by level:
+a level adds all links into its nodes, then activates them. No step waits for the device, and none
+is a loop over networks.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from neatq_torch.genome.genome import ACTIVATIONS
-from neatq_torch.network.plan import IDENTITY, Indices, Layout, Program
+from neatq_torch.genome.rules import ACTIVATIONS
+from neatq_torch.network.plan import IDENTITY, GenomePlan, Indices, Layout, Program
 
 
 def _sigmoid(x: Tensor) -> Tensor:
@@ -41,7 +44,7 @@ class Level:
 
     Attributes:
         source, target: Value rows of its links [links].
-        column: Weight places of its links [links].
+        column: Weights of its links, counted through all networks [links].
         node: Value rows that it activates [nodes].
         activation: Their activations [nodes, 1].
         activations: Those that occur.
@@ -76,14 +79,14 @@ class Levels:
         levels: In evaluation order.
         live: Whether a link belongs to a dense column [networks, dense].
         kept: Value rows that the states keep [values].
-        kept_place: Their places in the state [values].
+        kept_at: Where in the states they are kept [values].
     """
 
     layout: Layout
     levels: tuple[Level, ...]
     live: Tensor
     kept: Tensor
-    kept_place: Tensor
+    kept_at: Tensor
 
     @staticmethod
     def build(program: Program, layout: Layout, device: torch.device) -> Levels:
@@ -94,8 +97,8 @@ class Levels:
             made = torch.from_numpy(values)
             return made if device.type == "cpu" else made.to(device)
 
-        network, place = _used(program.size[:, 0], layout.instructions)
-        first, rows, links, code, level = program.instruction[network, place].astype(np.int64).T
+        network, number = _used(program.size[:, 0], layout.instructions)
+        first, rows, links, code, level = program.instruction[network, number].astype(np.int64).T
         total = np.bincount(network, links, len(program.size)).astype(np.int64)
         link_network, link = _used(total, layout.sparse)
         source = _row(program, layout, link_network, program.source[link_network, link])
@@ -121,13 +124,13 @@ class Levels:
                     activations=tuple(np.unique(code[node][nodes]).tolist()),
                 )
             )
-        network, place = _used(program.size[:, 1], layout.state)
+        network, number = _used(program.size[:, 1], layout.state)
         return Levels(
             layout=layout,
             levels=tuple(levels),
             live=tensor(program.live.copy()),
-            kept=tensor(_row(program, layout, network, program.kept[network, place])),
-            kept_place=tensor(network * layout.state + place),
+            kept=tensor(_row(program, layout, network, program.kept[network, number])),
+            kept_at=tensor(network * layout.state + number),
         )
 
     def evaluate(self, weight: Tensor, observation: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
@@ -151,11 +154,11 @@ class Levels:
         hidden = observation.new_zeros(networks, batch, layout.hidden)
         values = torch.cat([sensors, sums, memory, hidden], 2).transpose(1, 2)
         flat = values.reshape(networks * layout.rows, batch)
-        places = weight.reshape(-1)
+        columns = weight.reshape(-1)
         for level in self.levels:
             if len(level.source):
                 passed = flat.index_select(0, level.source)
-                passed = passed * places.index_select(0, level.column).unsqueeze(1)
+                passed = passed * columns.index_select(0, level.column).unsqueeze(1)
                 flat.index_add_(0, level.target, passed)
             if len(level.node):
                 active = level.activate(flat.index_select(0, level.node))
@@ -165,15 +168,15 @@ class Levels:
         if not layout.state:
             return output, state
         kept = flat.new_zeros(networks * layout.state, batch)
-        kept = kept.index_put((self.kept_place,), flat.index_select(0, self.kept))
+        kept = kept.index_put((self.kept_at,), flat.index_select(0, self.kept))
         kept = kept.view(networks, layout.state, batch).transpose(1, 2)
         return output, kept.reshape(*lead, layout.state)
 
 
 def _used(sizes: Indices, width: int) -> tuple[Indices, Indices]:
-    """Network and place of each used place, where network n uses its first `sizes[n]`."""
-    network, place = np.nonzero(np.arange(width) < sizes[:, None])
-    return network, place
+    """Network and number of each entry, where network n uses its first `sizes[n]`."""
+    network, number = np.nonzero(np.arange(width) < sizes[:, None])
+    return network, number
 
 
 def _row(program: Program, layout: Layout, network: Indices, row: Indices) -> Indices:
@@ -188,8 +191,73 @@ def _product(inputs: Tensor, weight: Tensor) -> Tensor:
 
     Every network's matrices are padded to begin on a 64-byte border. Matrix products of the CPU
     round differently with the alignment of their operands, so a network's outputs would depend on
-    its place in the population.
+    its slot.
     """
     outputs, inner, outer = weight.shape[2], -weight.shape[1] % 16, -weight.shape[2] % 16
     weight = nn.functional.pad(weight, (0, outer, 0, inner))
     return torch.bmm(nn.functional.pad(inputs, (0, inner)), weight)[..., :outputs]
+
+
+class Plan:
+    """The evaluation order of a population and the room that it has.
+
+    It is deliberately no `nn.Module`: code that swaps a module's parameters and buffers for others
+    (functional calls, target networks) must never bring back an old topology.
+
+    Attributes:
+        layout: Room of each network.
+        program: The evaluation order.
+        version: Number of changes so far.
+    """
+
+    def __init__(self, plans: Sequence[GenomePlan]) -> None:
+        self.layout = Layout.union([plan.need for plan in plans]).with_slack()
+        layout, networks = self.layout, len(plans)
+        self.program = Program(
+            size=np.zeros((networks, 3), np.int32),
+            instruction=np.zeros((networks, layout.instructions, 5), np.int32),
+            source=np.zeros((networks, layout.sparse), np.int32),
+            kept=np.zeros((networks, layout.state), np.int32),
+            live=np.zeros((networks, layout.dense), np.bool_),
+        )
+        self.version = 0
+        self._levels: Levels | None = None
+        for slot, plan in enumerate(plans):
+            self.write(slot, plan)
+
+    def write(self, slot: int, plan: GenomePlan) -> None:
+        """Put a genome's plan in a slot, after making room for it where it needs more."""
+        if not self.layout.holds(plan.need):
+            self._make_room(Layout.union([self.layout, plan.need.with_slack()]))
+        self.version += 1
+        self._levels = None
+        program, need = self.program, plan.need
+        program.size[slot] = need.instructions, need.state, need.hidden
+        program.instruction[slot, : need.instructions] = plan.instruction
+        program.source[slot, : need.sparse] = plan.source
+        program.kept[slot, : need.state] = plan.kept
+        program.live[slot] = False
+        program.live[slot, plan.column[plan.column < need.dense]] = True
+
+    def levels(self, device: torch.device) -> Levels:
+        """The evaluation order for torch operations; made when first asked for after a change."""
+        if self._levels is not None and self._levels.live.device == device:
+            return self._levels
+        levels = Levels.build(self.program, self.layout, device)
+        if type(levels.live) is torch.Tensor:  # not the fake tensor of somebody who traces
+            self._levels = levels
+        return levels
+
+    def _make_room(self, layout: Layout) -> None:
+        """Give every array as many columns as `layout` asks for, with zeros behind."""
+
+        def wide(array: NDArray[np.int32], columns: int) -> NDArray[np.int32]:
+            new = [(0, 0), (0, columns - array.shape[1]), *[(0, 0)] * (array.ndim - 2)]
+            return np.pad(array, new)
+
+        program, self.layout = self.program, layout
+        self.program = program._replace(
+            instruction=wide(program.instruction, layout.instructions),
+            source=wide(program.source, layout.sparse),
+            kept=wide(program.kept, layout.state),
+        )

@@ -21,15 +21,16 @@ nothing that was written moves.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from neatq_torch.genome.genome import ACTIVATIONS, Genome, NodeKind
+from neatq_torch.genome.genome import Genome
 from neatq_torch.genome.graph import node_levels
+from neatq_torch.genome.rules import ACTIVATIONS, NodeKind
 
 Evaluation = Literal["settle", "synchronous"]
 """`settle`: forward links are evaluated in order within one call; recurrent links read the call
@@ -43,8 +44,7 @@ LAST_LEVEL = np.iinfo(np.int32).max
 Indices = NDArray[np.integer]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Layout:
+class Layout(NamedTuple):
     """How much room each network of a population has.
 
     Attributes:
@@ -90,7 +90,7 @@ class Layout:
     @staticmethod
     def union(layouts: Sequence[Layout]) -> Layout:
         """The smallest layout that holds all of `layouts`, which agree in inputs and outputs."""
-        return Layout(**{name: max(getattr(layout, name) for layout in layouts) for name in _SIZES})
+        return Layout._make(max(sizes) for sizes in zip(*layouts, strict=True))
 
     def with_slack(self) -> Layout:
         """A layout in which the next genomes fit as well: a quarter more, and at least four."""
@@ -98,17 +98,8 @@ class Layout:
         def more(size: int) -> int:
             return size + max(4, size // 4)
 
-        return Layout(
-            inputs=self.inputs,
-            outputs=self.outputs,
-            state=more(self.state) if self.state else 0,
-            hidden=more(self.hidden),
-            sparse=more(self.sparse),
-            instructions=more(self.instructions),
-        )
-
-
-_SIZES = tuple(Layout.__dataclass_fields__)
+        grown = {name: more(getattr(self, name)) for name in ("hidden", "sparse", "instructions")}
+        return self._replace(state=more(self.state) if self.state else 0, **grown)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -133,41 +124,24 @@ class GenomePlan:
 
 
 def compile_genome(genome: Genome, evaluation: Evaluation) -> GenomePlan:
-    """Put a genome's enabled links and nodes in evaluation order.
+    """A valid genome's enabled links and nodes in evaluation order, to be read only.
 
     Most genomes of a population differ in weights only, so the plans of the last few thousand
     structures are kept.
-
-    Args:
-        genome: A valid genome.
-        evaluation: `settle` or `synchronous`.
-
-    Returns:
-        Its plan, to be read only. Disabled links take no part.
     """
-    return _compile(_Structure(genome), evaluation)
+    columns = (
+        *(genome.node_id, genome.node_kind, genome.node_activation),
+        *(genome.link_source, genome.link_target, genome.link_enabled, genome.link_recurrent),
+    )
+    return _compile(_Structure(tuple(column.tobytes() for column in columns), genome), evaluation)
 
 
+@dataclass(frozen=True)
 class _Structure:
     """A genome that equals all others of the same plan."""
 
-    def __init__(self, genome: Genome) -> None:
-        self.genome = genome
-        self.key = (
-            genome.node_id.tobytes(),
-            genome.node_kind.tobytes(),
-            genome.node_activation.tobytes(),
-            genome.link_source.tobytes(),
-            genome.link_target.tobytes(),
-            genome.link_enabled.tobytes(),
-            genome.link_recurrent.tobytes(),
-        )
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Structure) and self.key == other.key
+    key: tuple[bytes, ...]
+    genome: Genome = field(compare=False)
 
 
 @lru_cache(4096)
@@ -219,15 +193,10 @@ def _compile(structure: _Structure, evaluation: Evaluation) -> GenomePlan:
 def _rows(kind: Indices, state: int) -> NDArray[np.int32]:
     """The value row of each node [nodes], in a network that keeps `state` values."""
     row = np.empty(len(kind), np.int32)
-    inputs, outputs = (int((kind == k).sum()) for k in (NodeKind.INPUT, NodeKind.OUTPUT))
-    for node_kind, first in (
-        (NodeKind.INPUT, 0),
-        (NodeKind.BIAS, inputs),
-        (NodeKind.OUTPUT, inputs + 1),
-        (NodeKind.HIDDEN, inputs + 1 + outputs + state),
-    ):
-        here = np.flatnonzero(kind == node_kind)
-        row[here] = first + np.arange(len(here))
+    row[np.argsort(kind, kind="stable")] = np.arange(len(kind))
+    if NodeKind.BIAS not in kind:  # which has its row nevertheless
+        row[kind > NodeKind.BIAS] += 1
+    row[kind == NodeKind.HIDDEN] += state
     return row
 
 
@@ -236,40 +205,32 @@ def _instructions(
 ) -> NDArray[np.int32]:
     """The instructions of a genome, see `Program` [instructions, 5].
 
-    Args:
-        genome: The genome.
-        row: Value row of each node [nodes].
-        level: Longest path of links that ends in each node [nodes].
-        links: Sparse links into each node [nodes].
-        read: Whether a link reads a node within the call [nodes].
+    For each node: its value row, the longest path of links that ends in it, the number of sparse
+    links into it, and whether a link reads it within the call [nodes].
     """
     kind, activation = genome.node_kind, genome.node_activation
     hidden, output = kind == NodeKind.HIDDEN, kind == NodeKind.OUTPUT
     own = hidden | (output & read)  # these are activated before the last level
     nodes = np.flatnonzero(own | (output & (links > 0)))
     nodes = nodes[np.lexsort((nodes, level[nodes]))]
-    single = np.empty((len(nodes), 5), np.int32)
-    single[:, 0] = row[nodes]
-    single[:, 1] = 1
-    single[:, 2] = links[nodes]
-    single[:, 3] = np.where(own[nodes], activation[nodes], IDENTITY)
-    single[:, 4] = level[nodes]
+    code = np.where(own[nodes], activation[nodes], IDENTITY)
+    single = _instruction_rows(row[nodes], 1, links[nodes], code, level[nodes])
 
     last = np.where(own, IDENTITY, activation)[output]
     start = np.flatnonzero(np.diff(last, prepend=-1))
-    runs = np.empty((len(start), 5), np.int32)
-    runs[:, 0] = len(genome.input_ids) + 1 + start
-    runs[:, 1] = np.diff(start, append=len(last))
-    runs[:, 2] = 0
-    runs[:, 3] = last[start]
-    runs[:, 4] = LAST_LEVEL
+    rows = np.diff(start, append=len(last))
+    runs = _instruction_rows(len(genome.input_ids) + 1 + start, rows, 0, last[start], LAST_LEVEL)
     return np.concatenate([single, runs[runs[:, 3] != IDENTITY]])
+
+
+def _instruction_rows(*columns: Indices | int) -> NDArray[np.int32]:
+    return np.stack(np.broadcast_arrays(*columns), 1).astype(np.int32)
 
 
 class Program(NamedTuple):
     """The evaluation order of a whole population, as arrays that begin with [networks].
 
-    Places beyond a network's own sizes hold zeros that nobody reads.
+    What lies beyond a network's own sizes are zeros that nobody reads.
 
     Attributes:
         size: Instructions, values of the state and hidden nodes of each network [networks, 3].
@@ -292,10 +253,4 @@ class Program(NamedTuple):
 
     def of(self, networks: Sequence[int]) -> Program:
         """A copy of the evaluation order of some networks."""
-        return Program(
-            self.size[networks],
-            self.instruction[networks],
-            self.source[networks],
-            self.kept[networks],
-            self.live[networks],
-        )
+        return Program._make(part[networks] for part in self)

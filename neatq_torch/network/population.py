@@ -1,4 +1,4 @@
-"""All networks of a population as one differentiable module."""
+"""All networks of a population, or the one of a genome, as a differentiable module."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from torch import Tensor, nn
 
 from neatq_torch.genome.genome import Genome
 from neatq_torch.network import compiled
+from neatq_torch.network.levels import Plan
 from neatq_torch.network.plan import Evaluation, GenomePlan, compile_genome
-from neatq_torch.network.population_plan import Plan
 
 
 class PopulationNetwork(nn.Module):
@@ -42,12 +42,18 @@ class PopulationNetwork(nn.Module):
             propagation a call, as in OpenNERO).
 
     Attributes:
+        inputs: Observations of each network, without the bias.
+        outputs: Outputs of each network.
         weight: The weights of all links [networks, columns]; only `Plan` knows the columns.
             The parameter keeps its identity for ever; it grows when a genome needs more columns.
-        genome_id: Whose network stands in each place [*shape].
+        genome_id: Whose network stands in each slot [*shape].
 
     Raises:
         ValueError: If genomes disagree in observations, inputs or outputs, or do not fill `shape`.
+
+    Example:
+        >>> network = PopulationNetwork(population.genomes)
+        >>> outputs = network(torch.rand(*network.shape, network.inputs))
     """
 
     weight: nn.Parameter
@@ -70,24 +76,15 @@ class PopulationNetwork(nn.Module):
         self.evaluation: Evaluation = evaluation
         self._genomes = list(genomes)
         self._plans = [compile_genome(genome, evaluation) for genome in genomes]
+        self.inputs, self.outputs = self._plans[0].need.inputs, self._plans[0].need.outputs
         for genome, plan in zip(genomes, self._plans, strict=True):
             self._check_interface(genome, plan)
         self.plan = Plan(self._plans)
         self.weight = nn.Parameter(torch.zeros(len(genomes), self.plan.layout.columns))
         identities = torch.tensor([g.genome_id for g in genomes], dtype=torch.long)
         self.register_buffer("genome_id", identities.view(self.shape), persistent=False)
-        for index in range(len(genomes)):
-            self._load_weights(index)
-
-    @property
-    def inputs(self) -> int:
-        """Observations of each network, without the bias."""
-        return self._plans[0].need.inputs
-
-    @property
-    def outputs(self) -> int:
-        """Outputs of each network."""
-        return self._plans[0].need.outputs
+        for slot in range(len(genomes)):
+            self._load_weights(slot)
 
     @property
     def state_size(self) -> int:
@@ -99,18 +96,14 @@ class PopulationNetwork(nn.Module):
         return self.weight.new_zeros(*self.shape, *batch, self.state_size)
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Evaluate every network on its own observations, from the initial state.
+        """Outputs [*shape, *batch, outputs] for observations [*shape, *batch, inputs].
 
-        Args:
-            observation: [*shape, *batch, inputs]; any batch of observations for each network.
-
-        Returns:
-            Outputs [*shape, *batch, outputs].
+        The batch of observations for each network may have any shape; all start from the initial
+        state.
         """
-        if not self.state_size:
-            return self.step(observation, observation[..., :0])[0]
         batch = observation.shape[len(self.shape) : -1]
-        return self.step(observation, self.initial_state(batch))[0]
+        state = self.initial_state(batch) if self.state_size else observation[..., :0]
+        return self.step(observation, state)[0]
 
     def step(self, observation: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """One call of every network.
@@ -127,20 +120,18 @@ class PopulationNetwork(nn.Module):
         """
         weight = self.weight
         self._check_shapes(weight, observation)
-        if compiled.serves(weight, observation, state):
+        if compiled.accepts(weight, observation, state):
             return compiled.evaluate(self.plan, weight, observation, state)
         return self.plan.levels(weight.device).evaluate(weight, observation, state)
 
-    def genome(self, index: int) -> Genome:
-        """The genome in place `index` (flat), with the weights that its network has now.
+    def genome(self, slot: int) -> Genome:
+        """The genome in a slot (flat), with the weights that its network has now.
 
-        The weights are copied bit for bit; disabled links keep the genome's own.
-
-        Raises:
-            GenomeError: If a weight is not finite.
+        The weights are copied bit for bit; disabled links keep the genome's own. GenomeError if one
+        is not finite.
         """
-        row = self.weight.detach()[index].cpu().numpy()
-        return self._genomes[index].with_weights(self._link_weights(index, row))
+        row = self.weight.detach()[slot].cpu().numpy()
+        return self._genomes[slot].with_weights(self._link_weights(slot, row))
 
     def genomes(self) -> list[Genome]:
         """All genomes with the weights that their networks have now, in flat order."""
@@ -153,27 +144,17 @@ class PopulationNetwork(nn.Module):
         They are those that the networks have now, bit for bit; those of disabled links are the
         genome's own.
         """
-        for index, row in enumerate(self.weight.detach().cpu().numpy()):
-            yield self._link_weights(index, row)
+        for slot, row in enumerate(self.weight.detach().cpu().numpy()):
+            yield self._link_weights(slot, row)
 
-    def _link_weights(self, index: int, row: np.ndarray) -> np.ndarray:
-        return self.by_link(index, row, self._genomes[index].link_weight)
-
-    def by_link(self, index: int, row: np.ndarray, disabled: np.ndarray) -> np.ndarray:
-        """Read a row of `weight`, or of its gradient, in the order of a genome's links.
-
-        Args:
-            index: The network's place (flat).
-            row: A number for each column [columns].
-            disabled: A number for each link [links], kept by those that are disabled.
-        """
-        plan, values = self._plans[index], disabled.copy()
-        values[plan.enabled] = row[plan.column]
-        return values
+    def _link_weights(self, slot: int, row: np.ndarray) -> np.ndarray:
+        plan, weights = self._plans[slot], self._genomes[slot].link_weight.copy()
+        weights[plan.enabled] = row[plan.column]
+        return weights
 
     @torch.no_grad()
-    def replace(self, index: int, genome: Genome) -> None:
-        """Put a genome in place `index` (flat). The other networks are not touched.
+    def replace(self, slot: int, genome: Genome) -> None:
+        """Put a genome in a slot (flat). The other networks are not touched.
 
         Costs the size of the genome, unless it needs more room than the plan has: then every
         network gets more (and `weight` more columns, all of them zero).
@@ -183,14 +164,14 @@ class PopulationNetwork(nn.Module):
         """
         plan = compile_genome(genome, self.evaluation)
         self._check_interface(genome, plan)
-        self._genomes[index], self._plans[index] = genome, plan
-        self.plan.write(index, plan)
+        self._genomes[slot], self._plans[slot] = genome, plan
+        self.plan.write(slot, plan)
         missing = self.plan.layout.columns - self.weight.shape[1]
         if missing:
             self.weight.data = nn.functional.pad(self.weight.data, (0, missing))
             self.weight.grad = None
-        self.genome_id.view(-1)[index] = genome.genome_id
-        self._load_weights(index)
+        self.genome_id.view(-1)[slot] = genome.genome_id
+        self._load_weights(slot)
 
     @torch.no_grad()
     def load_weights(self, saved: Tensor | np.ndarray) -> None:
@@ -205,22 +186,19 @@ class PopulationNetwork(nn.Module):
         self.weight.copy_(nn.functional.pad(rows, (0, missing)))
 
     @torch.no_grad()
-    def _load_weights(self, index: int) -> None:
-        genome, plan = self._genomes[index], self._plans[index]
+    def _load_weights(self, slot: int) -> None:
+        genome, plan = self._genomes[slot], self._plans[slot]
         row = np.zeros(self.weight.shape[1], np.float32)
         row[plan.column] = genome.link_weight[plan.enabled]
-        self.weight[index] = torch.from_numpy(row).to(self.weight)
+        self.weight[slot] = torch.from_numpy(row).to(self.weight)
 
     def _check_interface(self, genome: Genome, plan: GenomePlan) -> None:
-        expected = (self.inputs, self.outputs)
-        if (plan.need.inputs, plan.need.outputs) != expected:
+        need, schema = plan.need, self._genomes[0].observation_schema
+        if (need.inputs, need.outputs) != (self.inputs, self.outputs):
             raise ValueError(
-                f"genome {genome.genome_id} has {plan.need.inputs} inputs and "
-                f"{plan.need.outputs} outputs; the population's networks have {expected[0]} and "
-                f"{expected[1]}"
+                f"genome {genome.genome_id} has {need.inputs} inputs and {need.outputs} outputs; "
+                f"the population's networks have {self.inputs} and {self.outputs}"
             )
-
-        schema = self._genomes[0].observation_schema
         if genome.observation_schema != schema:
             raise ValueError(
                 f"genome {genome.genome_id} reads the observations "
@@ -238,3 +216,28 @@ class PopulationNetwork(nn.Module):
             raise ValueError(
                 f"expected weights of shape {list(expected)}, got {list(weight.shape)}"
             )
+
+
+class GenomeNetwork(PopulationNetwork):
+    """The network of one genome: a drop-in module, `[..., inputs] -> [..., outputs]`.
+
+    It is a `PopulationNetwork` of one without leading dimensions, so it trains, moves between
+    devices, copies, saves (`state_dict`) and exports (`torch.export`) like any other module.
+
+    Args:
+        genome: The genome to compile.
+        evaluation: `settle` or `synchronous`, see `PopulationNetwork`.
+
+    Example:
+        >>> network = GenomeNetwork(load_genome("champion.json"))
+        >>> outputs = network(torch.rand(32, network.inputs))
+    """
+
+    def __init__(self, genome: Genome, *, evaluation: Evaluation = "settle") -> None:
+        super().__init__([genome], shape=(), evaluation=evaluation)
+        # Whoever traces (torch.compile, a strict torch.export) must find it made.
+        self.plan.levels(self.weight.device)
+
+    def genome(self, slot: int = 0) -> Genome:
+        """The genome with the weights that the network has now, bit for bit."""
+        return super().genome(slot)

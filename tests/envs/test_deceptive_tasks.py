@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from neatq_envs.arena import Arena
-from neatq_envs.hard_maze import GOAL, START
 from neatq_envs.scenario import TASKS, Scenario, Spawn
+from neatq_envs.walls import MAZE_GOAL as GOAL
+from neatq_envs.walls import MAZE_START as START
 from neatq_envs.walls import Wall, box_distance
 
 Place = tuple[float, float]

@@ -13,7 +13,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from neatq_envs.registration import register_all
+import neatq_envs
+from neatq_envs import register_all
 from neatq_envs.row_env import RowVectorEnv
 
 IDS = (
@@ -207,3 +208,15 @@ def test_actions_that_are_no_numbers_are_refused() -> None:
         envs.step(np.full((ROWS, 1), np.nan, dtype=np.float32))
     with pytest.raises(ValueError, match=r"finite numbers \[5, 1\]"):
         envs.step(np.zeros(ROWS, dtype=np.float32))
+
+
+def test_the_public_names_are_found_without_torch_until_they_need_it() -> None:
+    code = (
+        "import sys, neatq_envs; from neatq_envs import TASKS, Scenario, TaskError, EpisodeError\n"
+        "assert 'torch' not in sys.modules and 'pettingzoo' not in sys.modules\n"
+        "print([getattr(neatq_envs, name).__class__ and name for name in neatq_envs.__all__])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "ArenaEnv" in done.stdout and "TeamEnv" in done.stdout
+    with pytest.raises(AttributeError, match="no attribute 'Arenas'"):
+        neatq_envs.__getattr__("Arenas")

@@ -120,6 +120,15 @@ def test_sane_bounds_scale_and_other_entries_are_standardised() -> None:
     assert again(seen).tobytes() == scaling(seen).tobytes()
 
 
+def test_wide_bounds_and_small_spreads_count_within_reason() -> None:
+    low, high = [-5e3, -2e4, -np.inf, -np.inf], [5e3, 2e4, np.inf, np.inf]
+    space = spaces.Box(np.array(low, np.float32), np.array(high, np.float32))
+    seen = np.array([[4000, 4000, 0, 0], [2000, 2000, 0.002, 1e-7]])
+    scaling = ObservationScaling.fit(space, seen)
+    assert scaling.offset.tolist() == pytest.approx([0, 3000, 0.001, 5e-8])
+    assert scaling.scale.tolist() == pytest.approx([4000, 1000, 0.001, 1])
+
+
 def test_one_hot_observations_are_not_scaled() -> None:
     scaling = ObservationScaling.fit(spaces.Discrete(3), np.eye(3))
     assert scaling(np.eye(3)).tolist() == np.eye(3).tolist()

@@ -10,7 +10,7 @@ from matplotlib.collections import LineCollection
 from PIL import Image
 
 from neatq_envs.render import (
-    CHAMPION,
+    CHAMPION_RGB,
     FLAG,
     GROUND,
     ROBOT,
@@ -39,7 +39,7 @@ def test_the_world_is_drawn_with_y_upwards() -> None:
     image = picture(highlight=1)
     assert image.shape == (400, 400, 3) and image.dtype == np.uint8
     assert centre(image, ROBOT) == pytest.approx((100, 100), abs=2)
-    assert centre(image, CHAMPION) == pytest.approx((300, 300), abs=2)
+    assert centre(image, CHAMPION_RGB) == pytest.approx((300, 300), abs=2)
     row, column = centre(image, FLAG)
     assert 130 < row < 150 and 400 / 2 < column < 212  # the cloth is at the top of the pole
     assert tuple(image[200, 200]) == WALL and tuple(image[10, 10]) == GROUND

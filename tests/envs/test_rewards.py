@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ from neatq_envs.rewards import Rewards
 from neatq_envs.scenario import TASKS
 
 ALL = {"stand_ground": 1.0, "stick_together": 1.0, "approach_flag": 1.0}
-DIAGONAL = math.sqrt(1_280_000)  # 1131.37
 
 
 def give(
@@ -40,23 +38,16 @@ def test_published_vector() -> None:
     assert vector[1] == pytest.approx([-1.0, -100, -(40**2 + 40**2)])
 
 
-def test_bounded_vector() -> None:
-    vector, _ = give("bounded", ALL, AT_50)
-    expected = [0.5, 1 / (100 / DIAGONAL + 1), 1 / (2500 / DIAGONAL + 1)]
-    assert vector[0] == pytest.approx(expected)
-
-
 def test_friends_are_looked_for_only_if_they_count() -> None:
     vector, _ = give("published", {"approach_flag": 1.0}, AT_50)
     assert vector[0].tolist() == [-0.5, 0, -2500]
 
 
 def test_a_robot_alone_gets_nothing_for_sticking_together() -> None:
-    for law in ("published", "bounded"):
-        task = TASKS["flag"].replaced(reward=law, reward_weights=ALL, robots=1)
-        zero, place = np.zeros((1, 1)), np.full((1, 1, 2), 9.0)
-        vector, _, _ = Rewards(task).after_move(zero, place, np.zeros((1, 2)), zero)
-        assert vector[0, 0, 1] == 0.0
+    task = TASKS["flag"].replaced(reward_weights=ALL, robots=1)
+    zero, place = np.zeros((1, 1)), np.full((1, 1, 2), 9.0)
+    vector, _, _ = Rewards(task).after_move(zero, place, np.zeros((1, 2)), zero)
+    assert vector[0, 0, 1] == 0.0
 
 
 @pytest.mark.parametrize(("distance", "expected"), [(0, 1.0), (141.42, 0.98438), (400, 0.875)])
@@ -73,27 +64,21 @@ def test_learning_rewards_are_weighted_means() -> None:
     weights = {"stand_ground": 1.0, "approach_flag": 3.0}
     assert give("published", weights, (410.0, 400.0))[1][1] == pytest.approx((1 + 0.5) / 2)
     assert give("published", weights, (400.0, 400.0))[1][0] == pytest.approx((1 + 0.75) / 2)
-    # Bounded: 0.5 and 0 for the speeds.
-    assert give("bounded", weights, (410.0, 400.0))[1][1] == pytest.approx((0.75 + 1) / 2)
-    assert give("bounded", weights, (400.0, 400.0))[1][0] == pytest.approx((0.875 + 1) / 2)
 
 
 def test_friends_count_with_their_weight() -> None:
-    # 10 units: -100 of 640,000, and 1 / (100 / D + 1); the flag is reached.
+    # 10 units: -100 of 640,000; the flag is reached.
     weights = {"stick_together": 1.0, "approach_flag": 1.0}
     far = 1 - 100 / 640_000
     assert give("published", weights, (400.0, 400.0))[1][0] == pytest.approx(
         ((far + 1) / 2 + 1) / 2
     )
-    near = 1 / (100 / DIAGONAL + 1)
-    assert give("bounded", weights, (400.0, 400.0))[1][0] == pytest.approx(((near + 1) / 2 + 1) / 2)
 
 
 def test_a_negative_weight_turns_the_reward_round() -> None:
     away = {"approach_flag": -1.0}
     assert give("published", away, (400.0, 400.0))[1][0] == 0.0
     assert give("published", away, (400.0 + 800, 400.0 + 800))[1][0] == pytest.approx(1)
-    assert give("bounded", away, (400.0, 400.0))[1][0] == 0.0
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,15 @@ import numpy as np
 import pytest
 
 from neatq_envs.checks import ScenarioError
-from neatq_envs.scenario import TASKS, FlagSchedule, Scenario, Spawn, load_scenario
+from neatq_envs.gymnasium_task import assignments
+from neatq_envs.scenario import (
+    TASKS,
+    FlagSchedule,
+    Scenario,
+    Spawn,
+    find_scenario,
+    load_scenario,
+)
 from neatq_envs.walls import Wall, box_distance
 
 
@@ -29,6 +37,16 @@ def test_the_tasks_have_the_original_geometry() -> None:
     box = wall.walls[0]
     edges = (box.x - box.width / 2, box.x + box.width / 2, box.y - 2, box.y + box.height / 2)
     assert edges == (350, 450, 398, 402)
+
+
+def test_what_a_scenario_leaves_out() -> None:
+    plain = Scenario(name="flag")
+    assert plain == TASKS["flag"]
+    assert (plain.sensors, plain.reward, plain.collide) == ("arena", "published", False)
+    assert (plain.robot_radius, plain.walls, plain.weights().tolist()) == (4.09, (), [0, 0, 1])
+    assert FlagSchedule(positions=[(1, 2)]).interval_ticks == 0  # type: ignore[arg-type]
+    assert TASKS["maze"].spawns == (Spawn(x=34, y=22, jitter=6),)
+    assert TASKS["switch"].flag.switch_ticks == 610
 
 
 def test_the_moving_flag_keeps_the_published_distances() -> None:
@@ -65,7 +83,6 @@ def test_a_scenario_keeps_its_own_weights() -> None:
 
 def test_keys_left_out_come_from_the_defaults() -> None:
     assert Scenario.from_dict({"robots": 3}) == TASKS["flag"].replaced(robots=3)
-    assert Scenario.from_dict({"robots": 3}, TASKS["wall"]) == TASKS["wall"].replaced(robots=3)
 
 
 def test_the_example_in_the_module_is_a_scenario() -> None:
@@ -145,6 +162,76 @@ def test_file_errors_name_the_file(tmp_path: Path) -> None:
         load_scenario(path)
     path.write_text('{"robots": 4}')
     assert load_scenario(path).robots == 4
+
+
+def test_defaults_fill_what_a_file_leaves_out_and_changes_come_last(tmp_path: Path) -> None:
+    path = tmp_path / "mine.json"
+    path.write_text('{"name": "mine", "robots": 4, "sensors": "arena"}')
+    world = {"sensors": "opennero", "reward": "progress"}
+    expected = TASKS["flag"].replaced(name="mine", robots=4, reward="progress")
+    content = json.loads(path.read_text())
+    for source in (path, str(path), content):
+        assert find_scenario(source, defaults=world) == expected
+        changed = find_scenario(source, defaults=world, changes={"robots": 7, "reward": None})
+        assert changed == expected.replaced(robots=7)
+    assert find_scenario("trap", defaults=world) == TASKS["trap"].replaced(**world)
+    assert find_scenario("trap", changes={"robots": 3}) == TASKS["trap"].replaced(robots=3)
+    assert find_scenario(expected, defaults=world) == expected  # it leaves nothing out
+    # What a file and the defaults cannot be together, changes may mend.
+    path.write_text('{"reward_weights": {"stand_ground": 1}}')
+    with pytest.raises(ScenarioError, match=r"mine\.json: reward \"progress\""):
+        find_scenario(path, defaults=world)
+    assert find_scenario(path, defaults=world, changes={"reward": "published"}).robots == 50
+
+
+def test_a_scenario_is_changed_by_assignments() -> None:
+    texts = [
+        "robots=3",
+        "name=two walls",
+        'walls=[{"x": 300, "y": 400, "width": 200, "height": 4}]',
+        'spawns=[{"x": 400, "y": 150}]',
+        'flag={"ring": [50, 90], "interval_ticks": 20}',
+        'reward_weights={"stick_together": 1}',
+        "collide=true",
+    ]
+    assert find_scenario("flag", changes=assignments(texts)) == TASKS["flag"].replaced(
+        robots=3,
+        name="two walls",
+        walls=(Wall(x=300, y=400, width=200, height=4),),
+        spawns=(Spawn(x=400, y=150),),
+        flag=FlagSchedule(ring=(50, 90), interval_ticks=20),
+        reward_weights={"stick_together": 1},
+        collide=True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("robot=3", ['unknown key "robot"', 'did you mean "robots"']),
+        ("robots=many", ["robots", "whole number", "'many'"]),
+        ('walls=[{"x": 3}]', ["walls[0]", "missing keys", "y"]),
+        ('spawns=[{"x": 3, "z": 3}]', ["spawns[0]", 'unknown key "z"']),
+        ('flag={"position": []}', ["flag", 'did you mean "positions"']),
+        ('reward_weights={"together": 1}', ['did you mean "stick_together"']),
+        ("reward_weights=approach_flag", ["reward_weights", "object"]),
+    ],
+)
+def test_wrong_assignments_are_named(text: str, words: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "mine.json"
+    path.write_text("{}")
+    for source in ("wall", path):
+        with pytest.raises(ScenarioError) as error:
+            find_scenario(source, changes=assignments([text]))
+        assert all(word in str(error.value) for word in words)
+        if "reward_weights" not in text:
+            assert "mine.json" not in str(error.value)  # the file is not to blame
+
+
+@pytest.mark.parametrize("source", ["flog", Path("flog")])
+def test_an_unknown_task_is_answered_with_the_known_ones(source: Path | str) -> None:
+    with pytest.raises(ScenarioError, match=r"expected flag, .*, switch or the path .* 'flog'"):
+        find_scenario(source)
 
 
 def test_a_spawn_that_just_clears_a_wall_is_allowed() -> None:

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from neatq_envs.arena import Arena, directions
 from neatq_envs.physics import border_walls, wall_box
 from neatq_envs.rays import barriers, ray_distances
 from neatq_envs.scenario import TASKS, Scenario
 from neatq_envs.sensors import RAY_ANGLES_RAD, RAY_LENGTH, SCHEMAS, Senses
-from neatq_envs.steering import directions
 from neatq_envs.walls import Wall
 
 
@@ -83,6 +83,34 @@ WALL = TASKS["wall"]
 def test_radar_sectors_overlap_as_in_the_original(angle_deg: float, sectors: list[int]) -> None:
     expected = [0.5 if sector in sectors else 0.0 for sector in range(5)]  # 30 / 60
     assert radar(angle_deg) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("border", "inside", "sector"),
+    [
+        (90, -1, 0),
+        (12, 1, 0),
+        (18, -1, 1),
+        (-3, 1, 1),
+        (3, -1, 2),
+        (-18, 1, 2),
+        (-12, -1, 3),
+        (-90, 1, 3),
+        (87, 1, 4),
+        (-87, -1, 4),
+    ],
+)
+def test_every_sector_ends_at_its_border(border: float, inside: int, sector: int) -> None:
+    assert radar(border + 0.4 * inside)[sector] == 0.5
+    assert radar(border - 0.4 * inside)[sector] == 0
+
+
+def test_friends_are_ignored_above_one_half() -> None:
+    arena = Arena(TASKS["flag"].replaced(sensors="opennero", robots=2), [0])
+    actions = np.zeros((1, 2, 4))
+    actions[0, :, 3] = 0.49, 0.51
+    arena.step(actions)
+    assert (arena.observation[0, :, 15] > 0).tolist() == [True, False]
 
 
 def test_radar_range() -> None:

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from neatq_envs.arena import Arena
+from neatq_envs.pettingzoo_env import TeamEnv
 from neatq_envs.scenario import TASKS
-from neatq_envs.team import TeamEnv
 
 SMALL = TASKS["wall"].replaced(robots=4, lifetime_ticks=6, reward="progress")
 
@@ -87,6 +87,6 @@ def test_without_pettingzoo_the_error_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, "pettingzoo", None)
-    monkeypatch.delitem(sys.modules, "neatq_envs.team")
+    monkeypatch.delitem(sys.modules, "neatq_envs.pettingzoo_env")
     with pytest.raises(ImportError, match=r'pip install "neatq_torch\[pettingzoo\]"'):
-        importlib.import_module("neatq_envs.team")
+        importlib.import_module("neatq_envs.pettingzoo_env")

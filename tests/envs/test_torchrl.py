@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase, StepCounter, TransformedEnv
 from torchrl.envs.utils import check_env_specs, step_mdp
 
 from neatq_envs.scenario import TASKS
-from neatq_envs.torchrl import (
+from neatq_envs.torchrl_env import (
     ACTION,
     DISTANCE,
     DONE,
@@ -51,7 +51,7 @@ def collector(env: ArenaEnv, ticks: int, batches: int) -> Collector:
 
 
 @pytest.mark.parametrize("sensors", ["arena", "opennero"])
-@pytest.mark.parametrize("reward", ["published", "bounded", "progress"])
+@pytest.mark.parametrize("reward", ["published", "progress"])
 def test_specs_hold(sensors: str, reward: str) -> None:
     env = ArenaEnv(SMALL.replaced(sensors=sensors, reward=reward), arenas=3)
     check_env_specs(env, break_when_any_done="both")

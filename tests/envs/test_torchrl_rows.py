@@ -15,17 +15,24 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
-from neatq_envs.gymnasium_rows import EpisodeError, SingleRows, VectorRows, make_rows
-from neatq_envs.gymnasium_task import GymnasiumTask
+from neatq_envs.episodes import EpisodeError, episode_seeds
+from neatq_envs.gymnasium_rows import SingleRows, VectorRows, make_rows
+from neatq_envs.gymnasium_task import GymnasiumTask, Interface
 from neatq_envs.observation_scaling import ObservationScaling
-from neatq_envs.torchrl_rows import GymnasiumRows, episode_seeds
+from neatq_envs.torchrl_rows import GymnasiumRows
 
 
-def rows_of(task: str, *env_kwargs: str, shape: tuple[int, int] = (2, 2)) -> GymnasiumRows:
+def rows_of(
+    task: str, *env_kwargs: str, shape: tuple[int, int] = (2, 2), episodes: int | None = 1
+) -> GymnasiumRows:
     parsed = GymnasiumTask.parse(task, env_kwargs)
-    _, interface = make_rows(parsed)
-    scaling = ObservationScaling(np.zeros(interface.inputs), np.ones(interface.inputs))
-    return GymnasiumRows.make(parsed, scaling, shape=shape)
+    rows, interface = make_rows(parsed)
+    scaling = as_it_is(interface)
+    return GymnasiumRows(rows, interface, scaling, shape=shape, episodes=episodes)
+
+
+def as_it_is(interface: Interface) -> ObservationScaling:
+    return ObservationScaling(np.zeros(interface.inputs), np.ones(interface.inputs))
 
 
 def act(now: TensorDictBase, action: torch.Tensor) -> TensorDictBase:
@@ -35,6 +42,7 @@ def act(now: TensorDictBase, action: torch.Tensor) -> TensorDictBase:
 @pytest.mark.parametrize("task", ["Walk-v0", "Ends-v0"])
 def test_the_specs_hold(toy: str, task: str) -> None:
     check_env_specs(rows_of(toy + task))
+    check_env_specs(rows_of(toy + task, episodes=None), break_when_any_done="both")
 
 
 def test_seeds_are_words_of_the_hash_that_is_documented() -> None:
@@ -48,9 +56,9 @@ def test_every_row_is_a_single_environment_with_the_seeds_of_its_arena(toy: str)
     rng = np.random.default_rng(0)
     actions = torch.from_numpy(rng.uniform(-1, 1, (60, 2, 2, 1)).astype(np.float32))
     actions[:, 0, 1] = 1.0  # this row leaves early
-    env = rows_of(f"{toy}Walk-v0")
+    env = rows_of(f"{toy}Walk-v0", episodes=2)
     seeds = np.stack([episode_seeds(arena, 4, 2) for arena in (0, 1)])
-    env.begin(seeds)
+    env.begin(4)
     alone = [[gymnasium.make(env_id(toy)) for _ in range(2)] for _ in range(2)]
     episode = np.zeros((2, 2), int)
     observation = [[e.reset(seed=int(seeds[a, 0]))[0] for e in alone[a]] for a in range(2)]
@@ -63,10 +71,13 @@ def test_every_row_is_a_single_environment_with_the_seeds_of_its_arena(toy: str)
             assert lived["living"][a, r].item() == living
             if not living:
                 assert not lived["next", "done"][a, r].any()
-                assert lived["next", "reward"][a, r] == 0
+                assert lived["next", "reward"][a, r] == lived["next", "reward_vector"][a, r] == 0
                 continue
             assert lived["observation"][a, r].tolist() == seen_as(observation[a][r])
             seen, reward, terminated, truncated, _ = alone[a][r].step(action[a, r].numpy())
+            assert lived["next", "reward_vector"][a, r].item() == reward  # in double precision
+            assert lived["next", "reward"][a, r].item() == np.float32(reward)
+            assert now["reward_vector"][a, r].item() == (0 if terminated or truncated else reward)
             assert lived["next", "terminated"][a, r].item() == terminated
             assert lived["next", "truncated"][a, r].item() == truncated
             returns[a, r, episode[a, r]] += reward
@@ -89,7 +100,6 @@ def env_id(toy: str) -> str:
 
 def test_idle_rows_are_not_stepped_and_do_not_count(toy: str) -> None:
     env = rows_of(f"{toy}Walk-v0", shape=(1, 2))
-    env.begin(episode_seeds(0, 0, 1)[None])
     walk = sys.modules["toy_tasks"].Walk
     before = walk.steps
     now = env.reset()
@@ -120,8 +130,7 @@ def test_an_end_for_good_and_an_end_by_time_are_told_apart(toy: str, by: str) ->
 def test_quick_steps_are_those_of_torchrl(toy: str) -> None:
     roots = []
     for step in (GymnasiumRows.step_and_maybe_reset, EnvBase.step_and_maybe_reset):
-        env = rows_of(f"{toy}Walk-v0")
-        env.begin(np.stack([episode_seeds(arena, 0, 2) for arena in (0, 1)]))
+        env = rows_of(f"{toy}Walk-v0", episodes=2)
         now = env.reset()
         for tick in range(45):
             lived, now = step(env, act(now, torch.full((2, 2, 1), (-1.0) ** tick)))
@@ -143,7 +152,7 @@ def test_quick_steps_are_those_of_torchrl(toy: str) -> None:
 )
 def test_a_failure_names_row_episode_seed_and_step(toy: str, how: str, pattern: str) -> None:
     env = rows_of(f"{toy}Broken-v0", f"how={how}", shape=(2, 1))
-    env.begin([[2, 4], [6, 9]])
+    env.begin(starts=[[2, 4], [6, 9]])
     now = env.reset()
     with pytest.raises(EpisodeError) as caught:
         for _ in range(30):
@@ -155,8 +164,12 @@ def test_a_failure_names_row_episode_seed_and_step(toy: str, how: str, pattern: 
 
 
 def test_wrong_seeds_are_refused(toy: str) -> None:
-    with pytest.raises(ValueError, match=r"of 2 arenas, got the shape \[3, 1\]"):
-        rows_of(f"{toy}Walk-v0").begin(np.zeros((3, 1)))
+    env = rows_of(f"{toy}Walk-v0")
+    with pytest.raises(ValueError, match=r"of 4 rows, got the shape \[3, 1\]"):
+        env.begin(starts=np.zeros((3, 1)))
+    rows, interface = make_rows(GymnasiumTask.parse(f"{toy}Walk-v0"))
+    with pytest.raises(ValueError, match="one for each of 2 arenas, got 3"):
+        GymnasiumRows(rows, interface, as_it_is(interface), shape=(2, 2), seeds=(1, 2, 3))
 
 
 class WalkRows(VectorEnv[Any, Any, Any]):
@@ -196,11 +209,9 @@ def test_a_vectorised_environment_gives_what_single_ones_give(toy: str, fast_wal
     fast, _ = make_rows(GymnasiumTask.parse(fast_walk))
     assert isinstance(single, SingleRows)
     assert isinstance(fast, VectorRows)
-    scaling = ObservationScaling(np.zeros(2), np.ones(2))
-    seeds = np.stack([episode_seeds(arena, 0, 3) for arena in (0, 1)])
     ways: list[list[TensorDict]] = []
     for rows in (single, fast):
-        env = GymnasiumRows(rows, interface, scaling, shape=(2, 3), seeds=seeds)
+        env = GymnasiumRows(rows, interface, as_it_is(interface), shape=(2, 3), episodes=3)
         now, way = env.reset(), []
         rng = torch.Generator().manual_seed(0)
         while now["living"].any():

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neatq_envs.arena import Arena
+from neatq_envs.arena import Arena, directions
 from neatq_envs.checks import ScenarioError
+from neatq_envs.pettingzoo_env import TeamEnv
 from neatq_envs.render import FLAG, draw_paths, frame
 from neatq_envs.robot import RobotEnv
 from neatq_envs.scenario import TASKS, FlagSchedule, Scenario, Spawn
 from neatq_envs.sensors import SCHEMAS, Senses, schema_of
-from neatq_envs.steering import directions
-from neatq_envs.team import TeamEnv
 
 Drive = Callable[[Arena], np.ndarray]
 LEFT, RIGHT = (300.0, 166.67), (500.0, 166.67)

@@ -14,11 +14,11 @@ from neatq_torch.evolution import (
     NEAT,
     NEAT_2002,
     NEATConfig,
-    Speciation,
     Species,
     SpeciesConfig,
 )
-from neatq_torch.evolution.generation import breeders, offspring_counts, shared_fitness
+from neatq_torch.evolution.neat import breeders, offspring_counts, shared_fitness
+from neatq_torch.evolution.species import Speciation
 from neatq_torch.genome import (
     Genome,
     InnovationLedger,
@@ -33,7 +33,7 @@ ONE = initial_genome(2, 1, rng=np.random.default_rng(0))
 
 def start(population: int = 20, seed: int = 0, **config: Any) -> NEAT:
     rng = np.random.default_rng(seed)
-    return NEAT.start(NEATConfig(**config), population=population, inputs=2, outputs=1, rng=rng)
+    return NEAT.start(NEATConfig(**config), slots=population, inputs=2, outputs=1, rng=rng)
 
 
 def apart(*positions: float, **config: Any) -> NEAT:
@@ -49,7 +49,7 @@ def live(population: NEAT, generations: int, seed: int = 0) -> list[str]:
     chance = np.random.default_rng((seed, population.generation))
     seen = []
     for _ in range(generations):
-        population.advance(chance.normal(size=len(population.genomes)))
+        population.tell(chance.normal(size=len(population.genomes)))
         seen += [genome.to_json() for genome in population.genomes]
     return seen
 
@@ -118,7 +118,7 @@ def test_a_population_keeps_its_size(
     evolved = start(population, seed, **config)
     chance = np.random.default_rng(seed)
     for _ in range(6):
-        evolved.advance(chance.normal(size=population) * scale)
+        evolved.tell(chance.normal(size=population) * scale)
         assert len(evolved.genomes) == population
         members = np.concatenate([one.members for one in evolved.species])
         assert sorted(members.tolist()) == list(range(population))
@@ -131,7 +131,7 @@ def test_champions_of_large_species_live_on_bit_for_bit_and_others_do_not() -> N
     fitness = np.ones(20)
     fitness[[2, 7, 12]] = 2.0, 2.0, 3.0
     champions = [population.genomes[slot] for slot in (2, 7, 12)]
-    population.advance(fitness)
+    population.tell(fitness)
     kept = [any(identical(one, new) for new in population.genomes) for one in champions]
     assert kept == [True, False, True]
     assert population.births == 18
@@ -140,7 +140,7 @@ def test_champions_of_large_species_live_on_bit_for_bit_and_others_do_not() -> N
 def test_the_champions_of_small_species_have_only_changed_offspring() -> None:
     still = replace(NEAT_2002, mutation=replace(MUTATION, link_weights_prob=1.0))
     population = apart(*[0.0] * 5, 10.0, reproduction=still)
-    population.advance([1.0] * 5 + [2.0])
+    population.tell([1.0] * 5 + [2.0])
     # Not even the best of all lives on, as it is alone.
     assert all(one.genome_id >= 6 for one in population.genomes)
 
@@ -156,7 +156,7 @@ def test_a_species_that_stagnates_has_no_offspring_until_it_improves() -> None:
         far = np.array([one.link_weight[0] > 5 for one in population.genomes])
         sizes.append(int(far.sum()))
         # The far species stays at 1; the near one is fitter and improves.
-        population.advance(np.where(far, 1.0, 1.0 + 0.01 * (generation + 1)))
+        population.tell(np.where(far, 1.0, 1.0 + 0.01 * (generation + 1)))
     # Generation 0 was its last improvement: it is judged in 0, 1 and 2, and barred in 3.
     assert sizes[:4] == [10, 10, 10, 10]
     assert sizes[4] == 0
@@ -165,19 +165,19 @@ def test_a_species_that_stagnates_has_no_offspring_until_it_improves() -> None:
 def test_if_all_stagnate_the_two_best_species_share_the_next_generation() -> None:
     population = apart(*[0.0] * 6, *[10.0] * 6, *[20.0] * 6, stagnation_generations=1)
     fitness = np.repeat([1.0, 3.0, 2.0], 6)
-    population.advance(fitness)
+    population.tell(fitness)
     for species, value in zip(population.species, (1.0, 3.0, 2.0), strict=True):
         fitness[species.members] = value
     first = population.species[0].members.tolist()
     counts: list[int] = []
     children = population._children
 
-    def spy(species: Species, count: int, *rest: Any) -> list[Genome]:
+    def spy(species: Species, count: int, *rest: Any) -> Any:
         counts.append(count)
         return children(species, count, *rest)
 
     population._children = spy  # pyright: ignore[reportAttributeAccessIssue]
-    population.advance(fitness)
+    population.tell(fitness)
     assert first and counts == [0, 9, 9]
 
 
@@ -190,16 +190,16 @@ def test_after_20_generations_without_a_record_only_the_two_best_species_breed()
     )
 
     def species_of() -> list[int]:
-        places = [round(float(one.link_weight[0]) / 10) for one in population.genomes]
-        return np.bincount(places, minlength=3).tolist()
+        kinds = [round(float(one.link_weight[0]) / 10) for one in population.genomes]
+        return np.bincount(kinds, minlength=3).tolist()
 
     for _ in range(20):
         assert min(species_of()) > 0
-        places = np.array([one.link_weight[0] for one in population.genomes])
-        population.advance(np.where(places == 10.0, 5.0, np.where(places == 0.0, 4.0, 3.0)))
+        weights = np.array([one.link_weight[0] for one in population.genomes])
+        population.tell(np.where(weights == 10.0, 5.0, np.where(weights == 0.0, 4.0, 3.0)))
     assert species_of()[2] > 0
-    places = np.array([one.link_weight[0] for one in population.genomes])
-    population.advance(np.where(places == 10.0, 5.0, np.where(places == 0.0, 4.0, 3.0)))
+    weights = np.array([one.link_weight[0] for one in population.genomes])
+    population.tell(np.where(weights == 10.0, 5.0, np.where(weights == 0.0, 4.0, 3.0)))
     assert species_of() == [9, 9, 0]
 
 
@@ -212,7 +212,7 @@ def test_all_breeders_have_the_same_chance_and_nobody_else_breeds() -> None:
     for _ in range(300):
         again = apart(*(i / 10 for i in range(10)), reproduction=alone, elite_members=1000)
         again.rng = population.rng
-        again.advance(np.arange(10.0))
+        again.tell(np.arange(10.0))
         totals += np.bincount([round(10 * one.link_weight[0]) for one in again.genomes], None, 10)
     # 3000 offspring come from three parents alike.
     assert totals[:7].sum() == 0
@@ -243,17 +243,17 @@ def test_the_champion_or_a_random_member_represents_a_species(
         again = apart(0.0, 0.1, 0.2, representative=representative)
         again.speciation.species = [Species(1, np.array([0, 1, 2]))]
         again.rng = population.rng
-        again.advance([1.0, 2.0, 3.0])
+        again.tell([1.0, 2.0, 3.0])
     assert seen == drawn
 
 
 def test_a_threshold_with_a_step_moves_once_a_generation() -> None:
     species = SpeciesConfig(threshold=3.0, target=5, step=0.5, floor=0.3)
     population = start(10, species=species)
-    population.advance(np.ones(10))
+    population.tell(np.ones(10))
     assert population.speciation.threshold == 2.5
     fixed = start(10)
-    fixed.advance(np.ones(10))
+    fixed.tell(np.ones(10))
     assert fixed.speciation.threshold == 3.0
 
 
@@ -285,7 +285,7 @@ def test_learned_weights_are_inherited() -> None:
     population = start(4, reproduction=replace(NEAT_2002, mutation=still, mutate_only_prob=1.0))
     learned = np.array([1.5, -2.5, 0.125], np.float32)
     population.write_back(2, learned)
-    population.advance([0.0, 0.0, 1.0, 0.0])
+    population.tell([0.0, 0.0, 1.0, 0.0])
     assert all(np.array_equal(one.link_weight, learned) for one in population.genomes)
 
 
@@ -312,7 +312,7 @@ def test_without_growth_no_genome_changes_its_structure() -> None:
     live(population, 10)
     # Two inputs and the bias into 4 hidden nodes, these and the bias into the output.
     assert founder.link_weight.size == 3 * 4 + 4 + 1
-    assert all(one.same_genes(founder) for one in population.genomes)
+    assert all(one.same_structure(founder) for one in population.genomes)
 
 
 def test_without_speciation_there_is_one_species() -> None:
@@ -331,16 +331,16 @@ def test_a_population_without_species_does_not_get_any_by_being_saved() -> None:
 
 
 def test_without_mating_every_child_has_one_parent(monkeypatch: pytest.MonkeyPatch) -> None:
-    from neatq_torch.evolution import neat
+    from neatq_torch.evolution import population
 
     parents: list[int] = []
-    offspring = neat.offspring
+    offspring = population.offspring
 
     def spy(some: Any, *args: Any, **rest: Any) -> Genome:
         parents.append(len(some))
         return offspring(some, *args, **rest)
 
-    monkeypatch.setattr(neat, "offspring", spy)
+    monkeypatch.setattr(population, "offspring", spy)
     live(start(reproduction=replace(NEAT_2002, mutate_only_prob=1.0)), 6)
     assert set(parents) == {1}
     live(start(), 6)
@@ -356,13 +356,13 @@ def test_random_founders_have_1_to_10_hidden_nodes() -> None:
 
 
 def test_a_fitness_that_is_not_finite_is_named() -> None:
-    with pytest.raises(ValueError, match="fitness of slot 2 is nan"):
-        start(4).advance([1.0, 2.0, np.nan, np.inf])
+    with pytest.raises(ValueError, match="fitness: expected finite numbers, got nan of slot 2"):
+        start(4).tell([1.0, 2.0, np.nan, np.inf])
 
 
 def test_fitness_of_another_shape_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"each of the 4 genomes, got an array of shape \[3\]"):
-        start(4).advance([1.0, 2.0, 3.0])
+    with pytest.raises(ValueError, match=r"fitness: expected the shape \[slots = 4\], got \[3\]"):
+        start(4).tell([1.0, 2.0, 3.0])
 
 
 @pytest.mark.parametrize(
@@ -385,7 +385,7 @@ def test_a_bad_setting_is_named(field: str, value: Any) -> None:
 
 def test_a_population_needs_a_founder_and_a_free_number() -> None:
     ledger, rng = InnovationLedger(), np.random.default_rng(0)
-    with pytest.raises(ValueError, match="at least 1 genome"):
+    with pytest.raises(ValueError, match="at least 1 genomes, got 0"):
         NEAT(NEATConfig(), [], rng, ledger, 1)
     with pytest.raises(ValueError, match="highest id 0"):
         NEAT(NEATConfig(), [ONE], rng, ledger, 0)

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from neatq_torch.evolution import Novelty, RtNEAT, RtNEATConfig
-from neatq_torch.evolution.novelty import ARCHIVE_EVERY, mixed
+from neatq_torch.evolution import RtNEAT, RtNEATConfig
+from neatq_torch.evolution.novelty import ARCHIVE_EVERY, Novelty, mixed
 
 
-def population(novelty: float | None, robots: int = 4, seed: int = 0) -> RtNEAT:
+def population(novelty: float | None, slots: int = 4, seed: int = 0) -> RtNEAT:
     config = RtNEATConfig(minimum_life_ticks=10, novelty=novelty)
-    return RtNEAT.start(config, robots=robots, inputs=2, outputs=1, seed=seed)
+    return RtNEAT.start(config, slots=slots, inputs=2, outputs=1, rng=seed)
 
 
 def constant(values: list[float], ticks: int) -> np.ndarray:
@@ -24,9 +24,9 @@ def constant(values: list[float], ticks: int) -> np.ndarray:
 
 
 def test_novelty_is_the_mean_distance_to_the_nearest_behaviours() -> None:
-    novelty = Novelty(3, trial_ticks=2)
+    novelty = Novelty(3)
     ends = np.array([[[9.0, 9.0], end] for end in ([0.0, 0.0], [3.0, 4.0], [6.0, 8.0])])
-    novelty.record(np.zeros(3, np.int64), ends)
+    novelty.record(np.array([[False, True]] * 3), ends)
     # The archive has the first robot's, at distances 0, 5 and 10; the others are 5, 10; 5, 5; ...
     assert novelty.archive.tolist() == [[0.0, 0.0]]
     slots = np.arange(3)
@@ -35,16 +35,16 @@ def test_novelty_is_the_mean_distance_to_the_nearest_behaviours() -> None:
 
 
 def test_no_more_than_fifteen_neighbours_count() -> None:
-    novelty = Novelty(31, trial_ticks=1)
-    novelty.record(np.zeros(31, np.int64), np.arange(31.0)[:, None, None])
+    novelty = Novelty(31)
+    novelty.record(np.ones((31, 1), bool), np.arange(31.0)[:, None, None])
     novelty.archive = novelty.archive[:0]
     assert novelty.of(np.arange(31))[0] == np.arange(1, 16).mean()
     assert novelty.of(np.array([4])).tolist() == [0.0]
 
 
 def test_what_a_robot_did_before_the_end_of_a_trial_does_not_count() -> None:
-    novelty = Novelty(2, trial_ticks=3)
-    novelty.record(np.array([1, 0]), np.arange(4.0).reshape(2, 2, 1))
+    novelty = Novelty(2)
+    novelty.record(np.array([[False, True], [False, False]]), np.arange(4.0).reshape(2, 2, 1))
     assert novelty.latest[0].tolist() == [1.0]
     assert np.isnan(novelty.latest[1]).all()
 
@@ -52,12 +52,12 @@ def test_what_a_robot_did_before_the_end_of_a_trial_does_not_count() -> None:
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=6), st.integers(0, 100))
 def test_the_cut_into_batches_does_not_matter(batches: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
-    ages, behaviour = rng.integers(0, 9, 3), rng.normal(size=(3, sum(batches), 2))
-    whole, parts = Novelty(3, trial_ticks=4), Novelty(3, trial_ticks=4)
-    whole.record(ages, behaviour)
-    for part in np.split(behaviour, np.cumsum(batches)[:-1], axis=1):
-        parts.record(ages, part)
-        ages = ages + part.shape[1]
+    closing, behaviour = rng.random((3, sum(batches))) < 0.3, rng.normal(size=(3, sum(batches), 2))
+    whole, parts = Novelty(3), Novelty(3)
+    whole.record(closing, behaviour)
+    cuts = np.cumsum(batches)[:-1]
+    for flags, part in zip(np.split(closing, cuts, 1), np.split(behaviour, cuts, 1), strict=True):
+        parts.record(flags, part)
     for name, value in whole.state_dict().items():
         np.testing.assert_array_equal(parts.state_dict()[name], value)
     assert len(whole.archive) == -(-whole.seen // ARCHIVE_EVERY)
@@ -76,27 +76,27 @@ def test_by_novelty_alone_the_one_in_the_crowd_goes_though_it_is_the_champion() 
     ends = constant([0.0, 0.1, 0.2, 50.0], 16)
     for novelty, slot in ((None, 3), (1.0, 1)):
         evolution = population(novelty)
-        evolution.record(constant([1.0, 9.0, 8.0, 0.0], 16), ends)
+        evolution.record(constant([1.0, 9.0, 8.0, 0.0], 16), behaviour=ends)
         assert evolution.champion == 1
-        assert evolution.replace()[0].slot == slot
+        assert evolution.advance()[0].slot == slot
 
 
 def test_behaviour_that_novelty_needs_is_asked_for() -> None:
     evolution = population(0.5)
-    with pytest.raises(ValueError, match="expected the behaviour of the robots, got none"):
+    with pytest.raises(ValueError, match=r"behaviour: expected .*, got nothing"):
         evolution.record(np.zeros((4, 5, 1)))
-    with pytest.raises(ValueError, match=r"\[robots = 4, ticks, dimensions\], not \[3, 5, 2\]"):
-        evolution.record(np.zeros((4, 5, 1)), np.zeros((3, 5, 2)))
-    with pytest.raises(ValueError, match="must be finite"):
-        evolution.record(np.zeros((4, 5, 1)), np.full((4, 5, 2), np.nan))
+    with pytest.raises(ValueError, match=r"\[slots = 4, ticks, dimensions\], got \[3, 5, 2\]"):
+        evolution.record(np.zeros((4, 5, 1)), behaviour=np.zeros((3, 5, 2)))
+    with pytest.raises(ValueError, match="expected finite numbers"):
+        evolution.record(np.zeros((4, 5, 1)), behaviour=np.full((4, 5, 2), np.nan))
     assert evolution.tick == evolution.age_ticks.sum() == 0
 
 
 def live(evolution: RtNEAT, batches: int, seed: int) -> str:
     rng = np.random.default_rng(seed)
     for _ in range(batches):
-        evolution.record(rng.normal(size=(4, 3, 1)), rng.normal(size=(4, 3, 2)))
-        evolution.replace()
+        evolution.record(rng.normal(size=(4, 3, 1)), behaviour=rng.normal(size=(4, 3, 2)))
+        evolution.advance()
     return json.dumps(evolution.state_dict(), default=lambda array: array.tobytes().hex())
 
 
@@ -114,7 +114,7 @@ def test_without_novelty_behaviour_makes_no_difference() -> None:
     rng = np.random.default_rng(0)
     for _ in range(30):
         rewards = rng.normal(size=(4, 3, 1))
-        with_it.record(rewards, rng.normal(size=(4, 3, 2)))
+        with_it.record(rewards, behaviour=rng.normal(size=(4, 3, 2)))
         without.record(rewards)
-        assert [one.slot for one in with_it.replace()] == [one.slot for one in without.replace()]
+        assert [one.slot for one in with_it.advance()] == [one.slot for one in without.advance()]
     assert "novelty" not in without.state_dict()

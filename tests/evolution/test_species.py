@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neatq_torch.evolution import Speciation, SpeciesConfig
+from neatq_torch.evolution import SpeciesConfig
+from neatq_torch.evolution.species import Speciation
 from neatq_torch.genome import DistanceConfig, Genome, initial_genome
 
 ONE = initial_genome(1, 1, rng=np.random.default_rng(0))
@@ -44,9 +45,9 @@ def test_the_first_member_represents_its_species_and_the_next_follows_it() -> No
     genomes = at(0.0, 1.5, 3.0)
     speciation = sorted_in(genomes, threshold=2.0)
     assert members(speciation) == [[0, 1], [2]]
-    assert speciation.species[0].representative(genomes) is genomes[0]
+    assert speciation.species[0].members[0] == 0
     speciation.remove(0)
-    assert speciation.species[0].representative(genomes) is genomes[1]
+    assert speciation.species[0].members[0] == 1
     speciation.add(0, genomes)
     assert members(speciation) == [[1, 0], [2]]
     speciation.species[0].rank(np.array([2.0, 1.0, 0.0]))
@@ -58,7 +59,7 @@ def test_a_species_without_members_vanishes() -> None:
     speciation.remove(1)
     assert members(speciation) == [[0, 2]]
     with pytest.raises(KeyError, match="slot 1 belongs to no species"):
-        speciation.of(1)
+        speciation.remove(1)
 
 
 def test_numbers_of_species_are_never_used_again() -> None:
@@ -117,7 +118,6 @@ def test_reassigning_sees_a_genome_that_changed() -> None:
     speciation.count_offspring(genomes, [0, 1, 2])
     assert members(speciation) == [[0, 1], [2]]
     genomes[1] = genomes[1].with_weights([9.0, 9.0])
-    speciation.changed(1)
     speciation.count_offspring(genomes, [0, 1, 2])
     assert members(speciation) == [[0], [2, 1]]
 
@@ -137,7 +137,8 @@ def test_species_continue_from_their_state() -> None:
     for _ in range(7):
         speciation.count_offspring(genomes, [0, 2])
     state = speciation.state_dict()
-    copy = Speciation.from_state(speciation.config, DISTANCE, state)
+    copy = Speciation(speciation.config, DISTANCE)
+    copy.load_state(state)
     assert copy.state_dict() == state
     for one in (speciation, copy):
         for _ in range(3):
@@ -150,7 +151,7 @@ def test_species_continue_from_their_state() -> None:
 def test_a_config_out_of_range_is_refused() -> None:
     with pytest.raises(ValueError, match="0 < floor <= threshold"):
         SpeciesConfig(threshold=0.2)
-    with pytest.raises(ValueError, match="target and adjust_every must be at least 1"):
+    with pytest.raises(ValueError, match="adjust_every: expected at least 1, got 0"):
         SpeciesConfig(adjust_every=0)
-    with pytest.raises(ValueError, match="step must be >= 0"):
+    with pytest.raises(ValueError, match="step: expected at least 0"):
         SpeciesConfig(step=-0.1)

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from neatq_torch.evolution import Trials, relative_fitness, z_scores
-from neatq_torch.evolution.trials import TrialAverage
+from neatq_torch.evolution.trials import Trials, relative_fitness, z_scores
 
 
 def trial(amounts: list[float], ticks: int = 10) -> np.ndarray:
@@ -14,26 +13,61 @@ def trial(amounts: list[float], ticks: int = 10) -> np.ndarray:
     return np.repeat(np.array(amounts) / ticks, ticks)[None, :, None]
 
 
-@pytest.mark.parametrize(
-    ("average", "expected"),
-    [
-        # s1; s1 + s2/2; then half of the old and half of the new.
-        ("opennero", [8.0, 8.0 + 2.0, 5.0 + 1.0, 3.0 + 10.0]),
-        ("exponential", [8.0, 6.0, 4.0, 12.0]),
-    ],
-)
-def test_trials_are_averaged_by_hand(average: TrialAverage, expected: list[float]) -> None:
-    trials = Trials(1, 1, 10, average)
+def test_trials_are_averaged_by_hand() -> None:
+    trials = Trials(1, 1, 10)
     seen = []
     for amount in (8.0, 4.0, 2.0, 20.0):
         trials.record(trial([amount]))
         seen.append(trials.averages[0, 0])
-    assert seen == pytest.approx(expected)
-    assert trials.closed.tolist() == [4]
+        assert trials.latest[0, 0] == pytest.approx(amount)
+    # s1; s1 + s2/2; then half of the old and half of the new.
+    assert seen == pytest.approx([8.0, 8.0 + 2.0, 5.0 + 1.0, 3.0 + 10.0])
+    assert trials.closed.tolist() == [4] and trials.total == 4
+
+
+def test_trials_of_episodes_are_averaged_by_hand() -> None:
+    trials = Trials(2, 2, 1000, trial_episodes=2)
+    # Slot 0 ends an episode at ticks 1, 2, 5 and 6; slot 1 at 4 and 5, by when it earned 5 and 50.
+    done = np.array([[1, 1, 0, 0, 1, 1], [0, 0, 0, 1, 1, 0]])
+    rewards = np.array([[[4, 0], [2, 8], [1, 1], [1, 1], [1, 1], [1, 1]], [[1, 10]] * 6])
+    closing = trials.record(rewards, done)
+    assert np.argwhere(closing).tolist() == [[0, 1], [0, 5], [1, 4]]
+    # Slot 0: (6, 8) / 2 = (3, 4), then (4, 4) / 2 = (2, 2).
+    assert trials.latest.tolist() == [[2.0, 2.0], [2.5, 25.0]]
+    assert trials.averages.tolist() == [[2.5, 3.0], [2.5, 25.0]]
+    assert trials.sums.tolist() == [[0.0, 0.0], [1.0, 10.0]]
+    assert trials.closed.tolist() == [2, 1] and trials.total == 3
+    trials.record([[[0, 0]], [[3, 0]]], [[0], [1]])
+    assert trials.ended.tolist() == [0, 1]
+    trials.reset(1)
+    assert not trials.ended.any() and (trials.closed > 0).tolist() == [True, False]
+    assert trials.total == 3
+    # The third and later ones still count half.
+    trials.record([[[8, 0], [0, 0]], [[0, 0]] * 2], [[1, 1], [0, 0]])
+    assert trials.averages[0].tolist() == [2.5 / 2 + 2.0, 1.5]
+
+
+def test_ticks_of_an_episode_that_do_not_count_are_taken_to_be_like_the_others() -> None:
+    trials = Trials(1, 1, 1000, trial_episodes=1)
+    trials.record([[[1], [100], [2]]], [[0, 0, 1]], [[1, 0, 1]])
+    assert trials.latest.tolist() == [[4.5]]
+
+
+def test_trials_of_episodes_need_to_know_where_these_end() -> None:
+    trials = Trials(2, 1, 10, trial_episodes=1)
+    with pytest.raises(
+        ValueError, match=r"done: expected the shape .*slots = 2, ticks = 3\], got nothing"
+    ):
+        trials.record(np.zeros((2, 3, 1)))
+    with pytest.raises(
+        ValueError, match=r"done: expected the shape .*slots = 2, ticks = 3\], got \[3, 2\]"
+    ):
+        trials.record(np.zeros((2, 3, 1)), np.zeros((3, 2)))
+    assert not trials.age_ticks.any()
 
 
 def test_a_trial_closes_in_the_middle_of_a_batch() -> None:
-    trials = Trials(1, 1, 10, "opennero")
+    trials = Trials(1, 1, 10)
     trials.record(np.ones((1, 7, 1)))
     assert trials.averages[0, 0] == 0.0
     trials.record(np.ones((1, 7, 1)))
@@ -43,21 +77,21 @@ def test_a_trial_closes_in_the_middle_of_a_batch() -> None:
 
 
 def test_one_batch_may_hold_several_trials() -> None:
-    trials = Trials(1, 1, 10, "exponential")
+    trials = Trials(1, 1, 10)
     trials.record(trial([8.0, 4.0, 2.0]))
-    assert trials.averages[0, 0] == pytest.approx(4.0)
+    assert trials.averages[0, 0] == pytest.approx(6.0)
     assert trials.closed.tolist() == [3]
 
 
 def test_robots_of_different_age_close_their_trials_apart() -> None:
-    trials = Trials(2, 1, 10, "opennero")
+    trials = Trials(2, 1, 10)
     trials.record(np.ones((2, 6, 1)))
     trials.reset(1)
     trials.record(np.ones((2, 6, 1)))
     assert trials.age_ticks.tolist() == [12, 6]
     assert trials.averages[:, 0].tolist() == [10.0, 0.0]
     assert trials.sums[:, 0].tolist() == [2.0, 6.0]
-    assert trials.eligible.tolist() == [True, False]
+    assert (trials.closed > 0).tolist() == [True, False]
 
 
 @given(
@@ -65,80 +99,62 @@ def test_robots_of_different_age_close_their_trials_apart() -> None:
     st.integers(0, 100),
     st.sampled_from([4, 1000]),
     st.integers(1, 3),
-    st.sampled_from(["opennero", "exponential"]),
+    st.sampled_from([None, 1, 3]),
 )
 def test_the_cut_into_batches_does_not_matter_to_the_last_bit(
-    batches: list[int], seed: int, trial_ticks: int, dimensions: int, average: TrialAverage
+    batches: list[int], seed: int, trial_ticks: int, dimensions: int, episodes: int | None
 ) -> None:
     rng = np.random.default_rng(seed)
-    rewards = rng.normal(size=(3, sum(batches), dimensions))
-    whole, parts, ticks = (Trials(3, dimensions, trial_ticks, average) for _ in range(3))
-    whole.record(rewards)
-    for batch in np.split(rewards, np.cumsum(batches), axis=1):
-        parts.record(batch)
-    for tick in range(rewards.shape[1]):
-        ticks.record(rewards[:, tick : tick + 1])
-    for name, array in whole.state_dict().items():
-        assert array.tobytes() == getattr(parts, name).tobytes()
-        assert array.tobytes() == getattr(ticks, name).tobytes()
+    shape = (3, sum(batches))
+    rewards, done, counts = rng.normal(size=(*shape, dimensions)), *(rng.random((2, *shape)) < 0.4)
+    whole, parts, ticks = (Trials(3, dimensions, trial_ticks, episodes) for _ in range(3))
+    closed = whole.record(rewards, done, counts)
+    for trials, cuts in ((parts, np.cumsum(batches)), (ticks, range(1, shape[1]))):
+        pieces = [np.split(one, cuts, axis=1) for one in (rewards, done, counts)]
+        closing = [trials.record(*piece) for piece in zip(*pieces, strict=True)]
+        assert np.array_equal(np.concatenate(closing, axis=1), closed)
+    assert whole.total == parts.total == ticks.total
+    for name in Trials.ARRAYS:
+        expected = getattr(whole, name).tobytes()
+        assert expected == getattr(parts, name).tobytes() == getattr(ticks, name).tobytes()
 
 
 def test_ticks_that_do_not_count_are_taken_to_be_like_the_others() -> None:
-    trials = Trials(2, 1, 4, "opennero")
+    trials = Trials(2, 1, 4)
     counts = np.array([[True, False, True, False], [False] * 4])
     rewards = np.array([[1.0, 100.0, 2.0, -9.0], [5.0] * 4])[..., None]
-    trials.record(rewards[:, :3], counts[:, :3])
+    trials.record(rewards[:, :3], counts=counts[:, :3])
     assert trials.counted.tolist() == [2, 0]
-    trials.record(rewards[:, 3:], counts[:, 3:])
+    trials.record(rewards[:, 3:], counts=counts[:, 3:])
     # 3 in two ticks that count make 6 in four.
     assert trials.averages[:, 0].tolist() == [6.0, 0.0]
     trials.record(rewards)
     assert trials.averages[:, 0].tolist() == [6.0 + 94.0 / 2, 0.0 + 20.0 / 2]
-    trials.record(rewards[:, :3], counts[:, :3])
+    trials.record(rewards[:, :3], counts=counts[:, :3])
     trials.reset(0)
     assert trials.counted.tolist() == [0, 0]
 
 
-@given(st.lists(st.integers(0, 12), min_size=1, max_size=6), st.integers(0, 100))
-def test_the_cut_into_batches_does_not_matter_to_ticks_that_count(
-    batches: list[int], seed: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    rewards, counts = rng.normal(size=(3, sum(batches), 1)), rng.random((3, sum(batches))) < 0.7
-    whole, parts = (Trials(3, 1, 4, "opennero") for _ in range(2))
-    whole.record(rewards, counts)
-    cuts = np.cumsum(batches)
-    for some, flags in zip(np.split(rewards, cuts, 1), np.split(counts, cuts, 1), strict=True):
-        parts.record(some, flags)
-    for name, array in whole.state_dict().items():
-        assert array.tobytes() == getattr(parts, name).tobytes()
-
-
-def test_a_state_that_does_not_say_which_ticks_counted_means_all() -> None:
-    trials, copy = (Trials(1, 1, 10, "opennero") for _ in range(2))
-    trials.record(np.ones((1, 17, 1)))
-    state = trials.state_dict()
-    copy.load_state({name: array for name, array in state.items() if name != "counted"})
-    assert copy.counted.tolist() == trials.counted.tolist() == [7]
-    with pytest.raises(ValueError, match=r"\[robots, ticks\] = \[1, 5\], not \[1, 4\]"):
-        copy.record(np.ones((1, 5, 1)), np.ones((1, 4)))
+def test_ticks_that_count_are_refused_in_another_shape() -> None:
+    with pytest.raises(ValueError, match=r"counts: .*\[slots = 1, ticks = 5\], got \[1, 4\]"):
+        Trials(1, 1, 10).record(np.ones((1, 5, 1)), counts=np.ones((1, 4)))
 
 
 def test_sums_are_kept_in_double_precision() -> None:
-    trials = Trials(1, 1, 3000, "opennero")
+    trials = Trials(1, 1, 3000)
     trials.record(np.full((1, 2000, 1), 0.1, dtype=np.float32))
     exact = 2000 * float(np.float32(0.1))
     assert trials.sums[0, 0] == pytest.approx(exact, rel=1e-12)
 
 
 def test_rewards_of_the_wrong_shape_or_not_finite_are_refused() -> None:
-    trials = Trials(2, 3, 10, "opennero")
+    trials = Trials(2, 3, 10)
     for shape in ((2, 5, 2), (3, 5, 3), (2, 3)):
-        with pytest.raises(ValueError, match=r"\[robots = 2, ticks, dimensions = 3\]"):
+        with pytest.raises(ValueError, match=r"\[slots = 2, ticks, dimensions = 3\]"):
             trials.record(np.zeros(shape))
     rewards = np.zeros((2, 5, 3))
     rewards[1, 4, 2] = np.nan
-    with pytest.raises(ValueError, match="reward nan of robot 1, tick 4, dimension 2"):
+    with pytest.raises(ValueError, match="got nan of slot 1, tick 4, dimension 2"):
         trials.record(rewards)
     assert trials.age_ticks.tolist() == [0, 0]
 

@@ -19,7 +19,7 @@ from neatq_torch.genome import (
     initial_genome,
     mutate,
 )
-from neatq_torch.genome.codec import LINK_COLUMNS as COLUMNS
+from neatq_torch.genome.rules import LINK_FIELDS
 
 PLAIN = DistanceConfig()
 
@@ -110,9 +110,7 @@ def test_regrouping_is_that_of_members_who_move_one_by_one() -> None:
 
 
 def test_a_row_may_hold_a_longer_or_a_shorter_genome_than_before(small: Genome) -> None:
-    short = small.replaced(
-        **{f"link_{name}": getattr(small, f"link_{name}")[:3] for name in COLUMNS}
-    )
+    short = small.replaced(**{name: getattr(small, name)[:3] for name in LINK_FIELDS})
     table, order = table_of([short, short, short]), np.arange(3)
     for row, genome, expected in [
         (0, short, [[0, 1, 2]]),

@@ -32,12 +32,6 @@ def test_inputs_and_outputs_keep_the_order_of_the_node_array(
     )
     assert genome.input_ids.tolist() == [9, 2]
     assert genome.output_ids.tolist() == [4, 6]
-    assert genome.bias_id == 3
-
-
-def test_a_genome_may_lack_a_bias(make_genome: Callable[..., Genome]) -> None:
-    genome = make_genome([], node_id=[1, 2], node_kind=[0, 2], node_activation=[0, 1])
-    assert genome.bias_id is None
 
 
 def test_link_ends_are_found_in_an_unsorted_node_array(
@@ -121,7 +115,6 @@ def test_structure_is_what_remains_without_id_and_weights(small: Genome) -> None
     disabled = small.replaced(link_enabled=[False] * 5)
     assert small.same_structure(other)
     assert not small.same_structure(disabled)
-    assert small.same_genes(disabled)
     assert not small.same_structure(small.replaced(observation_schema="x"))
 
 

@@ -23,7 +23,7 @@ def pairs(genome: Genome) -> set[tuple[int, int]]:
 def test_every_input_and_the_bias_are_linked_to_every_output() -> None:
     genome = initial_genome(2, 2, rng=np.random.default_rng(0), activation="tanh", genome_id=3)
     assert genome.input_ids.tolist() == [1, 2]
-    assert genome.bias_id == 3
+    assert genome.node_kind.tolist() == [0, 0, NodeKind.BIAS, 2, 2]
     assert genome.output_ids.tolist() == [4, 5]
     assert genome.link_innovation.tolist() == [1, 2, 3, 4, 5, 6]
     assert genome.link_source.tolist() == [1, 2, 3, 1, 2, 3]
@@ -41,7 +41,7 @@ def test_opennero_starts_with_76_and_950_genes() -> None:
 
 def test_there_may_be_no_bias() -> None:
     genome = initial_genome(2, 1, rng=np.random.default_rng(0), bias=False)
-    assert genome.bias_id is None
+    assert NodeKind.BIAS not in genome.node_kind
     assert genome.output_ids.tolist() == [3]
 
 
@@ -88,6 +88,10 @@ def test_random_genomes_have_30_percent_of_the_links_that_point_forward() -> Non
     links = np.array([one.link_weight.size for one in genomes])
     assert (links / possible).mean() == pytest.approx(0.3, abs=0.01)
     assert not any(one.link_recurrent.any() for one in genomes)
+    whole = random_genome(3, 2, hidden=1, rng=rng, link_prob=1.0, activation="tanh", genome_id=7)
+    assert whole.link_weight.size == 4 + 2 * 5
+    assert whole.genome_id == 7
+    assert (whole.node_activation[4:] == ACTIVATIONS.index("tanh")).all()
 
 
 def test_random_genomes_agree_in_the_numbers_of_links() -> None:

@@ -6,8 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from neatq_torch.genome import Genome, InnovationLedger, Split
-from neatq_torch.genome.innovation import matching
+from neatq_torch.genome import Genome, InnovationLedger
+from neatq_torch.genome.crossover import matching
+from neatq_torch.genome.innovation import Split
 
 
 def test_the_same_link_gets_the_same_number_and_the_weight_of_its_first_occurrence() -> None:

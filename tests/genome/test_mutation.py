@@ -18,11 +18,13 @@ from neatq_torch.genome import (
     identical,
     initial_genome,
     mutate,
+)
+from neatq_torch.genome.mutation import (
     mutate_weights,
+    mutated_weights,
     reenable,
     toggle_enable,
 )
-from neatq_torch.genome.mutation import mutated_weights
 
 PLAIN = MutationConfig()
 START = 10.0  # far from U(-0.5, 0.5), so that new weights and moved ones cannot be confused
@@ -296,12 +298,12 @@ def test_genomes_without_links_can_mutate(make_genome: Callable[..., Genome]) ->
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"add_node_prob": 1.2}, "add_node_prob must be a probability"),
-        ({"weight_mutation_power": -1.0}, "weight_mutation_power must be a finite number"),
-        ({"new_link_tries": 0}, "new_link_tries must be at least 1"),
-        ({"max_link_weight": 0.0}, "max_link_weight must be positive, or None"),
-        ({"weight_scheme": "neat"}, "weight_scheme must be"),
-        ({"split_weight_scale": float("nan")}, "split_weight_scale must be finite"),
+        ({"add_node_prob": 1.2}, "add_node_prob: expected a probability"),
+        ({"weight_mutation_power": -1.0}, "weight_mutation_power: expected a finite number"),
+        ({"new_link_tries": 0}, "new_link_tries: expected at least 1"),
+        ({"max_link_weight": 0.0}, "max_link_weight: expected > 0, or None"),
+        ({"weight_scheme": "neat"}, "weight_scheme: expected"),
+        ({"split_weight_scale": float("nan")}, "split_weight_scale: expected a finite"),
         ({"hidden_activation": "sin"}, "activation 'sin' is unknown"),
     ],
 )

@@ -158,7 +158,7 @@ def test_a_newborn_ends_the_run_of_its_predecessor() -> None:
     assert explore.until_tick.tolist() == [[0, 27]]
 
 
-def recurrent_policy() -> CandidatePolicy:
+def recurrent_policy(*, genome_ids: tuple[int, int] = (0, 0), **settings: bool) -> CandidatePolicy:
     genome = initial_genome(1, 1, rng=np.random.default_rng(0), bias=False)
     genome = genome.replaced(
         link_innovation=np.array([1, 2]),
@@ -168,9 +168,11 @@ def recurrent_policy() -> CandidatePolicy:
         link_enabled=np.ones(2, bool),
         link_recurrent=np.array([False, True]),
     )
-    network = PopulationNetwork([genome, genome], shape=(1, 2))
+    genomes = [genome.replaced(genome_id=one) for one in genome_ids]
+    network = PopulationNetwork(genomes, shape=(1, 2))
     heads = CandidateHeads(1, [0.0], [1.0])
-    return CandidatePolicy(network, heads, greedy((1, 2), epsilon=0.0))
+    exploration = greedy((1, 2), epsilon=0.0)
+    return CandidatePolicy(network, heads, exploration, **settings)
 
 
 def test_the_policy_keeps_recurrent_state_and_a_newborn_starts_without() -> None:
@@ -185,3 +187,90 @@ def test_the_policy_keeps_recurrent_state_and_a_newborn_starts_without() -> None
     assert torch.equal(third["action"][0, 0], first["action"][0, 0])
     assert not torch.equal(third["action"][0, 1], first["action"][0, 1])
     assert third["genome_id"].tolist() == [[[0], [0]]]
+
+
+def test_a_policy_that_forgets_starts_afresh_where_an_episode_begins() -> None:
+    policy = recurrent_policy(forgets=True)
+    policy.exploration.until_tick.fill_(9)
+    rows = TensorDict({"observation": torch.ones(1, 2, 1)}, (1, 2))
+    ticks = [policy(rows.clone().set("step_count", torch.tensor([[[0], [1]]])))]
+    assert policy.exploration.until_tick.tolist() == [[0, 9]]
+    for step in (1, 0):
+        ticks.append(policy(rows.clone().set("step_count", torch.tensor([[[step], [2]]]))))
+    assert not torch.equal(ticks[1]["action"][0, 0], ticks[0]["action"][0, 0])
+    assert torch.equal(ticks[2]["action"][0, 0], ticks[0]["action"][0, 0])
+    assert not ticks[2]["network_state"][0, 0].any()
+    assert ticks[2]["network_state"][0, 1].any()
+
+
+@pytest.mark.parametrize("double", [False, True])
+def test_a_second_activation_with_the_observation_before_moves_the_state_alone(
+    double: bool,
+) -> None:
+    policy = recurrent_policy(double_activation=double)
+    first, second = (
+        policy(TensorDict({"observation": torch.full((1, 2, 1), value)}, (1, 2)))
+        for value in (0.5, 1.0)
+    )
+
+    def activated(observation: float, state: float) -> float:
+        return 1 / (1 + np.exp(-(observation + 2 * state)))
+
+    state = activated(0.5, 0.0)
+    assert first["action"][0, 0].item() == pytest.approx(state)
+    state = activated(0.0, state) if double else state  # nothing was observed before
+    assert first["next", "network_state"][0, 0, 0].item() == pytest.approx(state)
+    state = activated(1.0, state)
+    assert second["action"][0, 0].item() == pytest.approx(state)
+    state = activated(0.5, state) if double else state
+    assert second["next", "network_state"][0, 0, 0].item() == pytest.approx(state)
+
+
+def test_slots_that_do_not_live_act_for_nobody() -> None:
+    policy = recurrent_policy(genome_ids=(3, 4))
+    tick = TensorDict({"observation": torch.ones(1, 2, 1)}, (1, 2))
+    assert policy(tick.clone())["genome_id"].tolist() == [[[3], [4]]]
+    tick["living"] = torch.tensor([[[True], [False]]])
+    assert policy(tick)["genome_id"].tolist() == [[[3], [-1]]]
+    assert policy.network.genome_id.tolist() == [[3, 4]]
+
+
+def test_a_policy_goes_on_from_its_state_and_modules_around_it_get_torchs_own() -> None:
+    policy, again = recurrent_policy(double_activation=True), recurrent_policy()
+    rows = TensorDict({"observation": torch.ones(1, 2, 1)}, (1, 2))
+    policy(rows.clone())
+    again.double_activation = True
+    again.load_state_dict(policy.state_dict())
+    assert torch.equal(again(rows.clone())["action"], policy(rows.clone())["action"])
+    assert torch.equal(again.memory, policy.memory)
+    around = torch.nn.ModuleList([policy]).state_dict()
+    assert list(around) == ["0.network.weight"]
+
+
+def test_an_exploration_begun_anew_is_a_new_one() -> None:
+    values, settings = torch.zeros(2, 3, 7), {"epsilon": 0.6, "max_hold_ticks": 5}
+    explore = EpsilonGreedy((2, 3), seeds=[5, 6], **settings)  # pyright: ignore[reportArgumentType]
+    fresh = EpsilonGreedy((2, 3), seeds=[8, 9], **settings)  # pyright: ignore[reportArgumentType]
+    for _ in range(100):
+        explore(values)
+    explore.begin([8, 9])
+    for _ in range(100):
+        assert torch.equal(explore(values), fresh(values))
+
+
+def test_a_slot_with_a_seed_of_its_own_explores_as_the_only_one_of_an_arena() -> None:
+    values, settings = torch.zeros(2, 3, 7), {"epsilon": 0.6, "max_hold_ticks": 5}
+    explore = EpsilonGreedy((2, 3), seeds=[0, 1], **settings)  # pyright: ignore[reportArgumentType]
+    seeds = [[5, 2**63 + 11, 7], [7, 0, 123456789]]
+    explore.begin(seeds)
+    flat = EpsilonGreedy((6, 1), seeds=[*seeds[0], *seeds[1]], **settings)  # pyright: ignore[reportArgumentType]
+    for _ in range(150):
+        assert torch.equal(explore(values).flatten(), flat(values.view(6, 1, 7)).flatten())
+    assert torch.equal(explore.until_tick.flatten(), flat.until_tick.flatten())
+
+
+@pytest.mark.parametrize("seeds", [[1], [1, 2, 3], [[1, 2, 3]], [[1, 2], [3, 4]], [[1], [2, 3, 4]]])
+def test_seeds_for_other_slots_are_refused(seeds: list[int] | list[list[int]]) -> None:
+    explore = EpsilonGreedy((2, 3), seeds=[0, 1])
+    with pytest.raises(ValueError, match="expected one seed for each arena of"):
+        explore.begin(seeds)

@@ -135,30 +135,6 @@ def test_one_step_targets_by_hand() -> None:
     torch.testing.assert_close(batch["td_error"].flatten(), errors.abs())
 
 
-def test_expected_targets_by_hand() -> None:
-    loss = CandidateTDLoss(
-        FixedValues(), reduction="none", bootstrap="expected", epsilon_greedy=0.4
-    )
-    loss.make_value_estimator(ValueEstimators.TD0, gamma=0.5)
-    batch = line([1.0], [0.4, 0.8])
-    loss(batch)
-    # The next candidates are worth 0.8 and 0.4: 0.6 * 0.8 + 0.4 * 0.6 = 0.72.
-    assert batch["td_error"].item() == pytest.approx(1 + 0.5 * 0.72 - 0.2)
-
-
-def test_double_targets_by_hand() -> None:
-    loss = CandidateTDLoss(FixedValues(), reduction="none", bootstrap="double", delay_value=True)
-    loss.make_value_estimator(ValueEstimators.TD0, gamma=0.5)
-    SoftUpdate(loss, tau=0.1)
-    with torch.no_grad():
-        loss.target_value_network_params["scale"].fill_(-1.0)
-    batch = line([1.0], [0.4, 0.8])
-    loss(batch)
-    # By their own parameters the next candidates are worth 0.8 and 0.4, so the first is taken; by
-    # the target's -0.8 and -0.4, so that is worth -0.8 and not the greatest, -0.4.
-    assert batch["td_error"].item() == pytest.approx(1 + 0.5 * -0.8 - 0.2)
-
-
 def test_lambda_targets_by_hand() -> None:
     loss = CandidateTDLoss(FixedValues(), reduction="none")
     loss.make_value_estimator(ValueEstimators.TDLambda, gamma=0.5, lmbda=0.5)

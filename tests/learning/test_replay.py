@@ -21,13 +21,14 @@ from neatq_torch.learning import (
     CandidateTDLoss,
     CandidateValue,
     DiscreteHeads,
-    LearnerConfig,
-    TransitionMemory,
+    ReplayConfig,
+    ReplayLearner,
+    TDConfig,
+    TDLearner,
     WireFittingLoss,
-    over_horizon,
-    pretrain,
-    summed_up,
 )
+from neatq_torch.learning.memory import TransitionMemory, over_horizon, summed_up
+from neatq_torch.learning.replay import rehearse
 from neatq_torch.network import PopulationNetwork
 
 
@@ -114,8 +115,8 @@ def test_a_restored_memory_draws_and_forgets_alike(ticks: int, tmp_path: object)
     for number in range(ticks):
         memory.extend(transitions([float(number)]))
     path = f"{tmp_path}/checkpoint"
-    save_checkpoint(path, memory.state(), observation_schema="")
-    again.load_state(load_checkpoint(path))
+    save_checkpoint(path, memory.state_dict(), observation_schema="")
+    again.load_state_dict(load_checkpoint(path))
     for number in range(20, 23):
         assert len(again) == len(memory)
         if len(memory):
@@ -168,22 +169,22 @@ def trained(
     seeds: Sequence[int],
     *,
     steps: int = 200,
-    config: LearnerConfig | None = None,
+    config: TDConfig | None = None,
 ) -> PopulationNetwork:
     network = PopulationNetwork(genomes, shape=shape)
-    settings = config or LearnerConfig(learning_rate=0.05, optimizer="adam")
+    settings = config or TDConfig(learning_rate=0.05, optimizer="adam")
     delayed = settings.target_tau is not None
     loss = CandidateTDLoss(CandidateValue(network, DiscreteHeads(2)), delay_value=delayed)
     loss.make_value_estimator(gamma=GAMMA)
     generators = [generator(seed) for seed in seeds]
-    memories = [chain() for _ in seeds]
-    pretrain(network, loss, memories, settings, steps=steps, batch=16, generators=generators)
+    memories, learner = [chain() for _ in seeds], TDLearner(network, loss, settings)
+    rehearse(learner, memories, generators, range(len(seeds)), steps=steps, batch=16)
     return network
 
 
 @pytest.mark.parametrize("target_tau", [None, 0.2])
 def test_every_network_finds_the_known_values_of_a_chain(target_tau: float | None) -> None:
-    config = LearnerConfig(learning_rate=0.02, target_tau=target_tau)
+    config = TDConfig(learning_rate=0.02, target_tau=target_tau)
     network = trained(linear(3), (1, 3), [0], steps=700, config=config)
     values = network(torch.eye(STATES).expand(1, 3, STATES, STATES))[0].detach().numpy()
     for found in values:
@@ -216,17 +217,10 @@ def test_arenas_may_share_memories() -> None:
     network = PopulationNetwork(genomes, shape=(3, 1))
     loss = CandidateTDLoss(CandidateValue(network, DiscreteHeads(2)))
     loss.make_value_estimator(gamma=GAMMA)
-    settings = LearnerConfig(learning_rate=0.05, optimizer="adam")
-    pretrain(
-        network,
-        loss,
-        [chain(), chain()],
-        settings,
-        steps=200,
-        batch=16,
-        generators=[generator(3), generator(8)],
-        memory_of=[0, 1, 0],
-    )
+    settings = TDConfig(learning_rate=0.05, optimizer="adam")
+    generators, memories = [generator(3), generator(8)], [chain(), chain()]
+    learner = TDLearner(network, loss, settings)
+    rehearse(learner, memories, generators, [0, 1, 0], steps=200, batch=16)
     alone = trained([genomes[0], genomes[2]], (1, 2), [3]).genomes()
     alone.insert(1, trained(genomes[1:2], (1, 1), [8]).genome(0))
     for one, two in zip(alone, network.genomes(), strict=True):
@@ -246,10 +240,9 @@ def test_continuous_actions_are_learnt_from_by_wire_fitting() -> None:
     memory.extend(stored)
     loss = WireFittingLoss(CandidateValue(network, heads, propose=True))
     loss.make_value_estimator(gamma=0.0)
-    settings = LearnerConfig(learning_rate=0.05, optimizer="adam")
-    error = pretrain(
-        network, loss, [memory], settings, steps=300, batch=64, generators=[generator(1)]
-    )
+    settings = TDConfig(learning_rate=0.05, optimizer="adam")
+    learner = TDLearner(network, loss, settings)
+    error = rehearse(learner, [memory], [generator(1)], [0], steps=300, batch=64)
     candidates, values = heads(network(torch.zeros(1, 1, 1)))
     assert candidates[0, 0, values.argmax(), 0].item() == pytest.approx(0.8, abs=0.1)
     assert error.item() < 0.005
@@ -270,8 +263,8 @@ def test_recurrent_networks_begin_every_transition_without_state() -> None:
     loss.make_value_estimator(gamma=0.0)
     memory = TransitionMemory(5)
     memory.extend(transitions([1.0, 1.0]))
-    settings = LearnerConfig(learning_rate=0.1)
-    pretrain(network, loss, [memory], settings, steps=3, batch=2, generators=[generator()])
+    learner = TDLearner(network, loss, TDConfig(learning_rate=0.1))
+    rehearse(learner, [memory], [generator()], [0], steps=3, batch=2)
     learnt = network.genome(0).link_weight
     assert learnt[0] != np.float32(0.5)
     assert learnt[2] == np.float32(0.7)  # its input was 0
@@ -281,19 +274,9 @@ def test_what_cannot_be_learnt_from_is_refused() -> None:
     heads = CandidateHeads(2, [0.0], [1.0])
     genome = initial_genome(1, heads.outputs, rng=np.random.default_rng(0))
     network = PopulationNetwork([genome], shape=(1, 1))
-    loss = CandidateTDLoss(CandidateValue(network, heads))
-    memory, one = TransitionMemory(5), [generator()]
+    learner = TDLearner(network, CandidateTDLoss(CandidateValue(network, heads)), ReplayConfig())
     with pytest.raises(ValueError, match="use a WireFittingLoss"):
-        pretrain(network, loss, [memory], steps=1, batch=1, generators=one)
-    wires = WireFittingLoss(CandidateValue(network, heads, propose=True))
-    with pytest.raises(ValueError, match="one memory for each of 1 arenas and one generator for"):
-        pretrain(network, wires, [], steps=1, batch=1, generators=one)
-    with pytest.raises(ValueError, match="got 1 and 0"):
-        pretrain(network, wires, [memory], steps=1, batch=1, generators=[])
-    with pytest.raises(ValueError, match=r"memory_of: expected numbers from 0 to 0, got \[1\]"):
-        pretrain(network, wires, [memory], steps=1, batch=1, generators=one, memory_of=[1])
-    with pytest.raises(ValueError, match="at least 1 step"):
-        pretrain(network, loss, [memory], steps=0, batch=1, generators=one)
+        ReplayLearner(learner, lambda _: learner.loss, ReplayConfig(), [0])
 
 
 def test_rewards_are_summed_over_a_horizon_until_the_life_or_the_batch_ends() -> None:
@@ -316,6 +299,18 @@ def test_a_horizon_of_one_tick_changes_nothing() -> None:
     ahead = over_horizon(batch, 1, 0.9)
     for name in ("observation", "reward", "terminated"):
         assert torch.equal(ahead.get(("next", name)), batch.get(("next", name)))
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_no_reward_reaches_from_idle_ticks_or_another_genome_into_a_life(ended: bool) -> None:
+    batch = transitions([1.0, 10.0, 100.0, 1000.0, 10_000.0])
+    batch["genome_id"][0, :, 0] = torch.tensor([7, 7, -1, -1, 8])
+    batch["next", "done"] = torch.tensor([False, ended, False, False, False]).view(1, -1, 1)
+    ahead = over_horizon(batch, 5, 0.5)
+    memory = TransitionMemory(10)
+    memory.extend(ahead)
+    assert set(drawn(memory)) == {1.0 + 5.0, 10.0, 10_000.0}
+    assert ahead.get("steps_to_next_obs").flatten().tolist() == [2, 1, 2, 1, 1]
 
 
 @given(data=st.data(), ticks=st.integers(1, 9), every=st.integers(1, 4))

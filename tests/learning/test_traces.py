@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -22,7 +20,7 @@ from neatq_torch.learning import (
     CandidateValue,
     DiscreteHeads,
     Heads,
-    LearnerConfig,
+    TDConfig,
     TDLearner,
     TraceConfig,
     TraceLearner,
@@ -184,7 +182,7 @@ def test_without_decay_it_is_the_td_learner_with_plain_steps(
     ours, theirs = (PopulationNetwork(genomes, shape=(1, 5)) for _ in range(2))
     loss = CandidateTDLoss(CandidateValue(theirs, heads))
     loss.make_value_estimator(gamma=0.9)
-    plain = TDLearner(theirs, loss, LearnerConfig(learning_rate=0.3))
+    plain = TDLearner(theirs, loss, TDConfig(learning_rate=0.3))
     config = TraceConfig(learning_rate=0.3, discount=0.9, trace_decay=0.0)
     traces = TraceLearner(ours, heads, config)
     for seed in range(4):
@@ -336,7 +334,7 @@ def test_a_restored_learner_goes_on_bit_for_bit() -> None:
     again = PopulationNetwork(genomes, shape=(1, 2))
     again.load_weights(network.weight.detach())
     restored = TraceLearner(again, DiscreteHeads(2))
-    restored.load_state({name: value.clone() for name, value in learner.state().items()})
+    restored.load_state_dict({name: value.clone() for name, value in learner.state_dict().items()})
     for seed in range(1, 4):
         learner.update(random_tick(network, seed))
         restored.update(random_tick(again, seed))
@@ -375,12 +373,49 @@ def test_it_finds_the_known_values_of_a_chain() -> None:
     assert weights_of(network) == pytest.approx(expected, abs=0.05)
 
 
-@pytest.mark.parametrize(
-    "settings", [{"learning_rate": math.nan}, {"discount": 1.1}, {"trace_decay": -0.1}]
-)
-def test_bad_settings_are_named(settings: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=f"{next(iter(settings))}: expected"):
-        TraceConfig(**settings)
+def test_the_learning_rate_falls_with_the_episodes_of_each_robot() -> None:
+    genomes = [grown(i, seed=i) for i in range(1, 4)]
+    falling, plain = (PopulationNetwork(genomes, shape=(1, 3)) for _ in range(2))
+    config = TraceConfig(learning_rate=0.3, anneal=True)
+    learner = TraceLearner(falling, DiscreteHeads(2), config, episodes=7)
+    constant = TraceLearner(plain, DiscreteHeads(2), TraceConfig(learning_rate=0.3))
+    for seed, episodes in enumerate([(0, 0, 0), (0, 3, 7), (1, 6, 7)]):
+        batch = random_tick(falling, seed)
+        episode = torch.tensor(episodes)
+        batch["episode"] = episode.view(1, 3, 1, 1)
+        learner.update(batch)
+        constant.learning_rate = (0.3 * (1 - episode.double() / 7)).float()
+        constant.update(batch)
+        assert torch.equal(learner.learning_rate, constant.learning_rate)
+        assert torch.equal(falling.weight, plain.weight)
+
+
+@pytest.mark.parametrize("anneal", [False, True])
+def test_a_learner_whose_robots_are_all_newborn_is_a_fresh_one(anneal: bool) -> None:
+    genomes = [grown(i, seed=i, size=3 * i) for i in range(1, 4)]
+    used = PopulationNetwork([grown(i, seed=i) for i in range(4, 7)], shape=(1, 3))
+    config = TraceConfig(learning_rate=0.3, discount=0.9, anneal=anneal)
+    learner = TraceLearner(used, DiscreteHeads(2), config, episodes=5)
+
+    def learn(learner: TraceLearner, seed: int, episode: int) -> None:
+        batch = random_tick(learner.network, seed)
+        batch["episode"] = torch.full((1, 3, 1, 1), episode)
+        learner.update(batch)
+
+    for seed in range(3):
+        learn(learner, seed, 4)
+    for slot, genome in enumerate(genomes):
+        used.replace(slot, genome)
+    learner.reset(torch.ones(1, 3, dtype=torch.bool))
+    own = PopulationNetwork(genomes, shape=(1, 3))
+    fresh = TraceLearner(own, DiscreteHeads(2), config, episodes=5)
+    assert torch.equal(learner.learning_rate, fresh.learning_rate)
+    assert not learner.trace.any()
+    for seed in range(3, 6):
+        learn(learner, seed, seed - 3)
+        learn(fresh, seed, seed - 3)
+        for one, two in zip(used.genomes(), fresh.network.genomes(), strict=True):
+            assert one.link_weight.tobytes() == two.link_weight.tobytes()
 
 
 def test_a_single_candidate_is_refused() -> None:

@@ -15,12 +15,11 @@ from neatq_torch.learning import (
     CandidateTDLoss,
     CandidateValue,
     DiscreteHeads,
-    LearnerConfig,
+    TDConfig,
     TDLearner,
     WireFittingLoss,
-    closeness,
-    wire_fit,
 )
+from neatq_torch.learning.wire_fitting import wire_fit
 from neatq_torch.network import PopulationNetwork
 
 C, EPSILON = 0.3, 1e-3
@@ -106,22 +105,6 @@ def test_the_gradient_of_the_best_value_is_not_multiplied() -> None:
     assert held == pytest.approx(10.0, abs=0.01)
 
 
-def test_closeness_by_hand() -> None:
-    candidates = torch.tensor([[0.0, 0.0], [0.3, 0.0], [0.3, 0.4]], dtype=torch.float64)
-    apart = [0.3, 0.4, 0.5]
-    expected = sum((one**2 + 0.01) ** -0.5 for one in apart) / 3
-    assert closeness(candidates).item() == pytest.approx(expected)
-    assert closeness(candidates[:1]).item() == 0.0
-
-
-def test_closeness_pushes_candidates_apart_and_stays_finite_where_they_meet() -> None:
-    candidates = torch.tensor([[0.5], [0.6], [0.6]], requires_grad=True)
-    (gradient,) = torch.autograd.grad(closeness(candidates), candidates)
-    # Of three pairs two push, each with d / (d^2 + 0.01)^1.5; the two that meet do not.
-    push = 0.1 / 0.02**1.5 / 3
-    assert gradient.flatten().tolist() == pytest.approx([2 * push, -push, -push], rel=1e-5)
-
-
 INPUTS, K = 3, 3
 
 
@@ -174,6 +157,20 @@ def test_the_error_is_that_of_the_fitted_value_against_the_best_next_candidate()
     value = wire_fit(batch["action"], candidates, values, 0.1, 1e-4)
     error = batch["next", "reward"].squeeze(-1) + 0.9 * following - value
     torch.testing.assert_close(found, 0.5 * error.square())
+    torch.testing.assert_close(batch["td_error"].squeeze(-1), error.abs())
+
+
+def test_smoothing_and_epsilon_are_those_that_were_asked_for() -> None:
+    heads = CandidateHeads(K, [0.0], [1.0], value_range=(0.0, 4.0))
+    network = population(heads)
+    batch = batch_of(network)
+    value = CandidateValue(network, heads, propose=True)
+    loss = WireFittingLoss(value, smoothing=0.8, epsilon=0.05)
+    loss.make_value_estimator(gamma=0.0)
+    loss(batch)
+    candidates, values = heads(network(batch["observation"]))
+    fitted = wire_fit(batch["action"], candidates, values, 0.2, 0.05)
+    error = batch["next", "reward"].squeeze(-1) - fitted
     torch.testing.assert_close(batch["td_error"].squeeze(-1), error.abs())
 
 
@@ -243,7 +240,7 @@ def test_candidates_move_to_the_best_action() -> None:
     network = population(heads, robots=4)
     loss = WireFittingLoss(CandidateValue(network, heads, propose=True))
     loss.make_value_estimator(gamma=0.0)
-    learner = TDLearner(network, loss, LearnerConfig(learning_rate=0.03, optimizer="adam"))
+    learner = TDLearner(network, loss, TDConfig(learning_rate=0.03, optimizer="adam"))
     before = heads(network(batch_of(network, ticks=50)["observation"]))[0]
     assert (before - 0.8).abs().mean() > 0.2
     rng = torch.Generator().manual_seed(0)

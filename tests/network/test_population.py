@@ -75,8 +75,7 @@ class Oracle:
     def call(self, x: Sequence[float], before: Mapping[int, float]) -> tuple[Values, Values]:
         """Values and sums of all nodes for observations `x` and the values of the call before."""
         values = dict(zip(self.genome.input_ids.tolist(), x, strict=True))
-        if self.genome.bias_id is not None:
-            values[self.genome.bias_id] = 1.0
+        values |= {node: 1.0 for node, kind in self.kind.items() if kind == NodeKind.BIAS}
         sums: Values = {}
 
         def value(node: int) -> float:

@@ -17,7 +17,9 @@ from neatq_torch.genome import (
     initial_genome,
     mutate,
 )
-from neatq_torch.network import GenomeNetwork, PopulationNetwork
+from neatq_torch.network import Evaluation, GenomeNetwork, PopulationNetwork
+
+EVALUATIONS: tuple[Evaluation, Evaluation] = ("settle", "synchronous")
 
 
 @pytest.fixture
@@ -36,6 +38,13 @@ def test_it_maps_inputs_to_outputs_over_any_leading_dimensions(genome: Genome) -
     assert network(x).shape == (5, 4, 2)
     assert network(x[0, 0]).shape == (2,)
     torch.testing.assert_close(network(x)[2, 1], network(x[2, 1]))
+
+
+def test_a_synchronous_one_keeps_what_hidden_nodes_said_and_one_that_settles_does_not(
+    genome: Genome,
+) -> None:
+    state_sizes = [GenomeNetwork(genome, evaluation=one).state_size for one in EVALUATIONS]
+    assert state_sizes[0] == 0 < state_sizes[1]
 
 
 def test_it_trains_inside_a_sequential_with_any_optimiser(genome: Genome) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,39 +10,76 @@ import numpy as np
 import pytest
 
 from neatq_torch.checkpoint import load_checkpoint
-from neatq_trainers.config import RunConfig, preset
-from neatq_trainers.run_folder import CHECKPOINT
+from neatq_trainers import train
+from neatq_trainers.arms import preset
+from neatq_trainers.callbacks import Report
+from neatq_trainers.config import RunConfig
+from neatq_trainers.folder import CHECKPOINT
 
 ROBOTS, LIFE_TICKS = 9, 200
-_GROWING = ("weight", "first_moment", "second_moment", "target_weight", "memory")
+_GROWING = ("weight", "first_moment", "second_moment", "target_weight", "memory", "trace")
 """Arrays with spare columns for the next genomes, which hold zeros. How many there are depends on
 how often the networks were laid out, and nothing else does."""
+_OFTEN = {"add_link_prob": 0.9, "recurrent_link_prob": 0.5, "add_node_prob": 0.3}
+"""Mutations, so that networks soon are recurrent."""
 
 Tiny = Callable[..., RunConfig]
 State = dict[str, Any]
 
 
+def often(config: RunConfig) -> dict[str, Any]:
+    """Changes by which many are born, with new links."""
+    population = config.to_dict()["population"] or {}
+    changes: dict[str, Any] = {}
+    if "ineligible_fraction" in population:
+        changes["population.ineligible_fraction"] = 0.5
+    if "reproduction" in population:
+        changes |= {f"population.reproduction.mutation.{k}": v for k, v in _OFTEN.items()}
+    return changes
+
+
 def _tiny(arm: str, *, ticks: int = 520, **changes: Any) -> RunConfig:
-    config = preset("wall", arm)  # type: ignore[arg-type]
-    scenario = config.scenario.replaced(robots=ROBOTS, lifetime_ticks=LIFE_TICKS)
-    reproduction = config.evolution.reproduction
-    mutation = replace(
-        reproduction.mutation, add_link_prob=0.9, recurrent_link_prob=0.5, add_node_prob=0.3
-    )
-    evolution = replace(
-        config.evolution,
-        minimum_life_ticks=LIFE_TICKS,
-        ineligible_fraction=0.5,
-        reproduction=replace(reproduction, mutation=mutation),
-    )
-    config = replace(config, scenario=scenario, evolution=evolution, ticks=ticks, seed=1)
-    return replace(config, **changes)
+    size = {"robots": ROBOTS, "lifetime_ticks": LIFE_TICKS}
+    config = preset("wall", arm, env_kwargs=size, length={"ticks": ticks})
+    return config.changed({"seed": 1, **often(config), **changes})
 
 
 @pytest.fixture(scope="session")
 def tiny() -> Tiny:
     """Make the configuration of a short run with few robots, many births and new links."""
     return _tiny
+
+
+@pytest.fixture(scope="session")
+def tiny_walk(toy: str) -> Tiny:
+    """Make the configuration of a short run of an arm, on the walk of `toy_tasks`."""
+
+    def make(
+        arm: str = "neat",
+        task: str = "Walk-v0",
+        *,
+        env_kwargs: dict[str, Any] | None = None,
+        **changes: Any,
+    ) -> RunConfig:
+        length: dict[str, int | None] = {"steps": None, "generations": None}
+        length |= {unit: changes.pop(unit) for unit in length if unit in changes}
+        if not any(length.values()):
+            length["generations"] = 4
+        config = preset(toy + task, arm, env_kwargs=env_kwargs, length=length)
+        evaluation = {
+            "world.every": 2,
+            "world.evaluated": 2,
+            "world.episodes": 3,
+            "world.test_episodes": 5,
+        }
+        lives = {"world.slots": 8, "population.episodes": 2}
+        if arm == "qnetwork":
+            lives = {"population.episodes": 6}
+        if "minimum_life_episodes" in config.to_dict()["population"]:
+            lives = {"world.slots": 8}
+        return config.changed({"seed": 1, **evaluation, **lives, **often(config), **changes})
+
+    return make
 
 
 def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
@@ -87,3 +123,12 @@ def differences() -> Callable[[State, State], list[str]]:
 def state_of() -> Callable[[Path], State]:
     """Load what a run folder's checkpoint holds."""
     return lambda folder: load_checkpoint(folder / CHECKPOINT)
+
+
+@pytest.fixture(scope="module")
+def without_pictures() -> Iterator[None]:
+    """Runs draw nothing at their end, which takes longer than a tiny run."""
+    with pytest.MonkeyPatch.context() as patch:
+        callbacks = tuple(one for one in train.BUILT_IN if one is not Report)
+        patch.setattr(train, "BUILT_IN", callbacks)
+        yield

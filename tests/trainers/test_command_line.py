@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import io
 import json
 import os
 import re
@@ -10,14 +12,18 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from neatq_torch.checkpoint import load_checkpoint
+from neatq_trainers import train as trainer
+from neatq_trainers.arms import ARMS, preset
 from neatq_trainers.cli import main
-from neatq_trainers.config import Arm, RunConfig, preset
-from neatq_trainers.run_folder import CHECKPOINT, CONFIG, METRICS, RunFolder
+from neatq_trainers.config import RunConfig
+from neatq_trainers.folder import CHECKPOINT, CONFIG, METRICS, RunFolder
 from neatq_trainers.train import start
 
 Say = Callable[..., tuple[int, str, str]]
@@ -54,25 +60,97 @@ def words(text: str) -> str:
     return " ".join(re.sub(r"[^\x20-\x7e]", " ", text).split())
 
 
+CART_POLE = ["--task", "gym:CartPole-v1"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "pattern"),
     [
         (
             ["train", "--task", "nope"],
-            "task: expected flag, moving, wall, trap, maze, switch or .* got 'nope'",
+            "task: expected flag, moving, wall, trap, maze, switch,.* gym:ID .* got 'nope'",
         ),
         (["train", "--arm", "nope"], "arm: expected one of rtneat, .* got 'nope'"),
+        (["train", "--population", "nope"], "population: expected one of rtneat, .* got 'nope'"),
+        (["train", "--learner", "nope"], "learner: expected one of none, td, .* got 'nope'"),
+        (["train", "--learner", "no_such:one"], "learner: no_such:one: No module .*PYTHONPATH"),
         (["train", "--task"], "--task: expected one argument"),
         (["train", "--task", "none.json"], "none.json: cannot be read: No such file"),
         (["train", "--ticks", "-5"], "ticks: expected at least 1, got -5"),
         (["train", "--ticks", "0"], "ticks: expected at least 1, got 0"),
+        (["train", "--steps", "5"], "steps: the length of a run on wall is given in ticks"),
+        (
+            ["train", *CART_POLE, "--ticks", "5"],
+            "ticks: the length of a run on gym:CartPole-v1 is given in steps or generations",
+        ),
+        (
+            ["train", *CART_POLE, "--steps", "5", "--generations", "5"],
+            "expected one length, steps or generations; got steps and generations",
+        ),
         (["train", "--seed", "-1"], "seed: expected at least 0, got -1"),
         (["train", "--arenas", "0"], "arenas: expected at least 1, got 0"),
+        (["train", "--workers", "0"], "workers: expected at least 1, got 0"),
         (["train", "--batch-ticks", "0"], "batch_ticks: expected at least 1, got 0"),
-        (["train", "--scenario.robots", "1"], "scenario.robots: expected at least 2, got 1"),
+        (["train", "--env-kwargs", "robots"], "env_kwargs: expected name=value.* got 'robots'"),
+        (["train", "--env-kwargs", "robots=1"], "robots: expected at least 2, got 1"),
+        (["train", "--env-kwargs", "robots=0"], "robots: expected a whole number .* got 0"),
+        (["train", "--env-kwargs", "robot=5"], 'unknown key "robot".*robots'),
+        (["train", "--env-kwargs", "lifetime_ticks=-3"], "lifetime_ticks: .* at least 0, got -3"),
+        (
+            ["train", "--env-kwargs", "max_speed=NaN"],
+            "max_speed: expected a number .finite., got nan",
+        ),
+        (["train", "--robots", "9"], "robots: .* expected --env-kwargs robots=VALUE"),
+        (["train", "--scenario.robots", "9"], "robots: .* expected --env-kwargs robots=VALUE"),
+        (["train", "--network.candidates", "0"], "network.candidates: expected at least 1, got 0"),
         (["train", "--network.candidates", "1"], "network.candidates: expected at least 2, got 1"),
+        (
+            ["train", "--arm", "rtneat", "--learner", "td"],
+            "network.candidates: expected at least 2, got 1",
+        ),
+        (["train", "--network.value-range", "3", "1"], "network.value_range: .* smaller first"),
+        (["train", "--network.activation", "cubic"], "network.activation: expected one of ident"),
+        (["train", "--learner.epsilon", "2"], r"learner.epsilon: expected within \[0, 1\], got 2"),
+        (
+            ["train", "--learner.learning-rate", "nan"],
+            "learner.learning_rate: .* finite .* got nan",
+        ),
+        (["train", "--learner.max-hold-ticks", "0"], "learner.max_hold_ticks: .* least 1, got 0"),
+        (
+            ["train", "--population.minimum-life-ticks", "0"],
+            "population.minimum_life_ticks: expected at least 1, got 0",
+        ),
+        (
+            ["train", "--population.reproduction.mutation.add-node-prob", "3"],
+            r"population.reproduction.mutation.add_node_prob: .*\[0, 1\], got 3.0",
+        ),
+        (
+            ["train", *CART_POLE, "--arm", "neat", "--population.survival-share", "3"],
+            r"population.survival_share: expected \[0, 1\], got 3",
+        ),
+        (["train", *CART_POLE, "--world.every", "0"], "world.every: expected at least 1, got 0"),
+        (["train", *CART_POLE, "--world.slots", "1"], "world.slots: expected at least 2, got 1"),
+        (
+            ["train", "--arm", "neat", "--env-kwargs", "lifetime_ticks=0"],
+            "lifetime_ticks: expected above 0, got 0",
+        ),
+        (["train", "--arm", "qnetwork", "--learner", "none"], "learner: a fixed population with"),
+        (
+            ["train", "--arm", "qlearning", "--learner", "td"],
+            "learner: the arm qlearning has no ne",
+        ),
+        (["train", "--learner", "table"], "learner: a table knows no genome"),
+        (
+            ["train", "--arm", "neat+q", "--population", "rtneat", "--learner.anneal"],
+            "learner.anneal: expected lives of a number of episodes",
+        ),
+        (["train", *CART_POLE, "--arm", "qlearning"], "arm: qlearning does not run on gym:.*qnet"),
         (["resume", "nowhere"], "nowhere: no run to go on with"),
-        (["trian"], "expected train, resume, compare or reproduce; got 'trian'; see neatq --help"),
+        (["list", "arms"], "list: expected no arguments, got arms"),
+        (
+            ["trian"],
+            "expected one of train, resume, compare, reproduce, list; got 'trian'; see neatq --he",
+        ),
     ],
 )
 def test_bad_input_is_answered_in_one_line(neatq: Say, arguments: list[str], pattern: str) -> None:
@@ -83,31 +161,82 @@ def test_bad_input_is_answered_in_one_line(neatq: Say, arguments: list[str], pat
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "pattern"),
+    ("arguments", "pattern"),
     [
-        ("scenario.robots", "0", "robots: expected a whole number of at least 1, got 0"),
-        ("scenario.lifetime-ticks", "-3", "lifetime_ticks: expected .* at least 0, got -3"),
-        ("scenario.max-speed", "nan", "max_speed: expected a finite number, got nan"),
         (
-            "learning.step.learning-rate",
-            "nan",
-            "learning_rate: expected a finite number of at least 0, got nan",
+            ["--arm", "rtneat", "--learner.epsilon", "0.1"],
+            "learner.epsilon: .* the learner of the arm rtneat on wall is none; known to td",
         ),
         (
-            "learning.step.learning-rate",
-            "-1",
-            "learning_rate: expected a finite number of at least 0, got -1",
+            ["--arm", "rtneat", "--population.survival-share", "0.1"],
+            "population.survival_share: .* is rtneat; known to neat",
         ),
-        ("learning.epsilon", "2", r"epsilon: expected a number in \[0, 1\], got 2"),
-        ("network.candidates", "0", "candidates: expected at least 1, got 0"),
-        ("network.activation", "cubic", "activation: expected one of identity, .* got 'cubic'"),
-        ("evolution.minimum-life-ticks", "0", "minimum_life_ticks must be at least 1, not 0"),
-        ("ticks", "abc", "--ticks: invalid literal .* 'abc'"),
-        ("logger", "paper", "invalid choice 'paper'"),
-        ("tick", "5", "Unrecognized options: --tick.*Perhaps you meant.*--ticks"),
+        (["--arm", "rtneat", "--network.value-range", "0", "1"], "network.value_range: .* no outp"),
+        (["--arm", "qlearning", "--network.candidates", "3"], "network.candidates: .* no networks"),
+        (
+            ["--arm", "qlearning", "--network.no-double-activation"],
+            "network.double_activation: .* no networks",
+        ),
+        ([*CART_POLE, "--network.candidates", "3"], "network.candidates: .* has 2 actions to choo"),
+        ([*CART_POLE, "--learner", "td", "--learner.wires"], "learner.wires: .* a box of actions"),
+        ([*CART_POLE, "--population.novelty", "0.5"], "population.novelty: .* nobody stands at a"),
+        (
+            [*CART_POLE, "--population.minimum-life-ticks", "9"],
+            "population.minimum_life_ticks: .* is set",
+        ),
+        (
+            ["--arm", "neat", "--population.start-hidden", "9"],
+            "population.start_hidden: .* minimal",
+        ),
+        (
+            ["--population.reproduction.mutation.weight-replace-prob", "0.2"],
+            "population.reproduction.mutation.weight_replace_prob: .* uniform",
+        ),
     ],
 )
-def test_a_bad_value_of_an_option_is_named(
+def test_an_option_without_effect_is_refused_with_the_reason(
+    neatq: Say, arguments: list[str], pattern: str
+) -> None:
+    status, out, error = neatq("train", *arguments)
+    assert (status, out) == (2, "")
+    name, _, reason = pattern.partition(": .* ")
+    assert re.fullmatch(rf"neatq: error: {name}: it has no effect here: .*{reason}.*\n", error)
+    assert not os.listdir()
+
+
+def test_from_python_a_setting_without_effect_is_refused_as_well(tmp_path: Path) -> None:
+    settings = {"network.candidates": 3}
+    with pytest.raises(ValueError, match=r"network\.candidates: it has no effect here: .* 2 act"):
+        trainer.train("gym:CartPole-v1", "neat", settings=settings, out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_option_to_which_another_one_gives_effect_is_taken(
+    neatq: Say, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[RunConfig] = []
+
+    def listen(config: RunConfig, *_: object, **__: object) -> None:
+        taken.append(config)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trainer, "start", listen)
+    mutation = "--population.reproduction.mutation"
+    options = [f"{mutation}.weight-scheme", "uniform", f"{mutation}.weight-replace-prob", "0.25"]
+    assert neatq("train", *options)[0] == 130
+    assert taken[0].population.reproduction.mutation.weight_replace_prob == 0.25
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "pattern"),
+    [
+        ("ticks", "abc", "--ticks: .* invalid literal .* 'abc'"),
+        ("logger", "paper", "invalid choice 'paper'"),
+        ("tick", "5", "Unrecognized options: --tick.*Perhaps you meant.*--ticks"),
+        ("world.id", "x", "Unrecognized options: --world.id"),
+    ],
+)
+def test_what_is_no_value_of_an_option_is_named(
     neatq: Say, option: str, value: str, pattern: str
 ) -> None:
     status, out, error = neatq("train", f"--{option}", value)
@@ -208,21 +337,158 @@ def test_help_explains_every_command(neatq: Say) -> None:
     for arguments, wanted in (
         (["--help"], "neatq train"),
         (["-h"], "neatq resume"),
-        (["train", "--help"], "Train a population"),
         (["resume", "--help"], "Go on with a run"),
+        (["train", "--help"], "Train a population"),
+        (["train", "--task", "gym:CartPole-v1", "--help"], "--world.test-episodes"),
     ):
         status, out, error = neatq(*arguments)
         assert (status, error) == (0, "")
         assert wanted in out
 
 
-def test_the_help_of_train_shows_the_defaults_of_the_chosen_arm(neatq: Say) -> None:
-    arms: tuple[Arm, ...] = ("neatq", "qlearning")
-    for arm in arms:
-        text = words(neatq("train", "--arm", arm, "--help")[1])
-        found = re.search(r"--learning\.step\.learning-rate FLOAT .*?\(default: ([0-9.]+)\)", text)
-        assert found, text
-        assert float(found[1]) == preset("wall", arm).learning.step.learning_rate
+@cache
+def help_of(task: str, arm: str) -> str:
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), pytest.raises(SystemExit) as end:
+        main(["train", "--task", task, "--arm", arm, "--help"])
+    assert not end.value.code
+    return words(out.getvalue())
+
+
+EVERYWHERE = [
+    (task, arm)
+    for task in ("flag", "gym:CartPole-v1", "gym:Pendulum-v1")
+    for arm in ARMS
+    if not (ARMS[arm].arena_only and task.startswith("gym:"))
+]
+
+
+@pytest.mark.parametrize(("task", "arm"), EVERYWHERE)
+def test_the_help_of_train_has_few_options(task: str, arm: str) -> None:
+    head, _, rest = help_of(task, arm).partition(" options ")
+    for option in ("task", "arm", "population", "learner", "env-kwargs"):
+        assert f"--{option} N" in head
+    # Of an on and an off, one: --learner.anneal, --learner.no-anneal
+    names = set(re.findall(r"(?<!\S)--[a-z][a-z.-]*", rest))
+    assert len({name for name in names if not re.search(r"[.-]no-", name)}) <= 70
+
+
+@pytest.mark.parametrize(("task", "arm"), EVERYWHERE)
+def test_every_option_has_the_text_of_its_setting(task: str, arm: str) -> None:
+    """Between the name of an option and its default there are at least two words."""
+    rest = help_of(task, arm).partition(" options ")[2]
+    for text in re.findall(r"(?<!\S)--(\S+ .*?)\(default: ", rest):
+        own = re.sub(r"--\S+|\{.*?\}|\b(?:INT|FLOAT|STR|PATH)\b|[|]", " ", f"--{text}")
+        assert len(own.split()) >= 2, text
+
+
+def test_the_help_of_train_shows_the_defaults_of_the_chosen_arm() -> None:
+    for task, arm in EVERYWHERE:
+        learner = preset(task, arm).learner
+        found = re.search(
+            r"--learner\.learning-rate FLOAT .*?\(default: ([0-9.]+)\)", help_of(task, arm)
+        )
+        assert bool(found) == hasattr(learner, "learning_rate")
+        assert found is None or float(found[1]) == learner.learning_rate
+
+
+def test_other_kinds_than_the_arms_are_chosen_by_name(neatq: Say) -> None:
+    for part, kind, wanted in (
+        ("population", "fixed", "--population.episodes"),
+        ("learner", "td", "--learner.trace-decay"),
+    ):
+        status, out, _ = neatq("train", f"--{part}={kind}", "--help")
+        assert status == 0
+        assert wanted in out
+
+
+OWN = """
+from dataclasses import dataclass
+from neatq_torch.learning import TDConfig, TDLearner, learner_kinds, register_learner
+
+@dataclass(frozen=True, kw_only=True)
+class SlowConfig(TDConfig):
+    \"\"\"Learns slowly.
+
+    Attributes:
+        slowness: By which its learning rate is divided.
+    \"\"\"
+
+    slowness: float = 2.0
+
+register_learner("slow", SlowConfig, learner_kinds.maker("td"))
+"""
+
+
+def test_a_learner_of_ones_own_is_found_by_its_module_and_its_run_goes_on(tmp_path: Path) -> None:
+    (tmp_path / "own_learner.py").write_text(OWN)
+    size = ["--env-kwargs", "robots=5", "lifetime_ticks=50", "--ticks", "40", "--out", "run"]
+    own = ["--learner", "own_learner:slow", "--learner.slowness", "3"]
+    status, out, error = in_new_process(tmp_path, "train", *own, *size)
+    assert (status, error) == (0, ""), error
+    assert json.loads((tmp_path / "run" / CONFIG).read_text())["learner"]["slowness"] == 3
+    status, out, error = in_new_process(tmp_path, "resume", "run", "--ticks", "80")
+    assert (status, error) == (0, ""), error
+    assert out.startswith("neatq: run: metrics.csv")
+
+
+def in_new_process(folder: Path, *arguments: str) -> tuple[int, str, str]:
+    """Run the command in a folder, from which modules can be imported; as `neatq` fixture."""
+    paths = os.pathsep.join([str(folder), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-m", "neatq_trainers.cli", *arguments],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": paths, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_keys_of_the_scenario_are_given_as_json(
+    neatq: Say, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[RunConfig] = []
+    monkeypatch.setattr(trainer, "start", lambda config, *_, **__: taken.append(config) or 1 / 0)
+    wall = 'walls=[{"x": 300, "y": 400, "width": 200, "height": 4}]'
+    kwargs = ["robots=30", "lifetime_ticks=500", wall]
+    more = ['reward_weights={"stick_together": 1}']
+    with pytest.raises(ZeroDivisionError):
+        neatq("train", "--arm", "rtneat", "--env-kwargs", *kwargs, "--env-kwargs", *more)
+    (config,) = taken
+    scenario = config.world.scenario  # type: ignore[union-attr]
+    assert (scenario.robots, scenario.lifetime_ticks, scenario.walls[0].width) == (30, 500, 200)
+    assert scenario.reward_weights == {"stick_together": 1}
+    assert config.population.minimum_life_ticks == 500
+
+
+def test_ctrl_c_says_how_to_go_on(neatq: Say, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(config: RunConfig, folder: Path, **_: object) -> None:
+        folder.mkdir(parents=True)
+        (folder / CHECKPOINT).touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trainer, "start", interrupted)
+    status, out, error = neatq("train", "--out", "my run")
+    assert (status, out) == (130, "")
+    assert error == "neatq: stopped; go on with: neatq resume 'my run'\n"
+
+
+def test_the_list_names_everything(neatq: Say) -> None:
+    status, out, error = neatq("list")
+    assert (status, error) == (0, "")
+    for name in (*ARMS, "flag", "gym:ID", "fixed", "traces"):
+        assert re.search(rf"(^|[ ,]){re.escape(name)}([ ,]|$)", out, re.MULTILINE), name
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys; from neatq_trainers.cli import main; main(['--help'])\n"
+        "print(sorted({'torch', 'numpy', 'gymnasium', 'tyro'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.endswith("[]\n")
 
 
 def test_without_arguments_it_says_what_it_can_do(neatq: Say) -> None:
@@ -234,19 +500,11 @@ def test_without_arguments_it_says_what_it_can_do(neatq: Say) -> None:
 def test_a_run_says_what_it_wrote_and_nothing_else_when_there_is_no_terminal(
     tmp_path: Path,
 ) -> None:
-    code = "import sys; from neatq_trainers.cli import main; sys.exit(main())"
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"}
-    world = ["--scenario.robots", "5", "--scenario.lifetime-ticks", "50"]
-    options = [*world, "--evolution.minimum-life-ticks", "50", "--ticks", "100", "--seed", "3"]
-    done = subprocess.run(
-        [sys.executable, "-c", code, "train", "--arm", "described", *options],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    wanted = "metrics.csv, curves.png, arena.png, team.gif, champion.json"
-    assert done.stdout == f"neatq: runs/wall-described-seed3: {wanted}\n"
-    assert RunFolder.open(tmp_path / "runs" / "wall-described-seed3").read().tick >= 100
+    world = ["--env-kwargs", "robots=5", "lifetime_ticks=50"]
+    options = [*world, "--ticks", "100", "--seed", "3"]
+    status, out, error = in_new_process(tmp_path, "train", "--arm", "described", *options)
+    assert (status, error) == (0, "")
+    wanted = "metrics.csv, curves.png, arena.png, team.gif, champion.json, champion.png"
+    assert out == f"neatq: runs/wall-described-seed3: {wanted}\n"
+    run = RunFolder.open(tmp_path / "runs" / "wall-described-seed3")
+    assert load_checkpoint(run.path / CHECKPOINT)["done"]["ticks"] >= 100

@@ -23,8 +23,7 @@ from neatq_torch.genome import (
     initial_genome,
     mutate,
 )
-from neatq_trainers.genome_figure import NEGATIVE, POSITIVE, draw_genome
-from neatq_trainers.genome_layout import candidate_names
+from neatq_trainers.genome_figure import NEGATIVE, POSITIVE, candidate_names, draw_genome
 
 GROWING = MutationConfig(add_node_prob=0.3, add_link_prob=0.5, recurrent_link_prob=0.4)
 

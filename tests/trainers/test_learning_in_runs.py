@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
 
-from neatq_torch.learning import LearnerConfig, ReplayConfig, TDLearner
-from neatq_trainers.build import Run, build
-from neatq_trainers.config import Arm, ConfigError, RunConfig, preset
-from neatq_trainers.loop import breed, make_collector
+from neatq_torch.kinds import ConfigError
+from neatq_torch.learning import TDLearner
+from neatq_trainers.arms import preset
+from neatq_trainers.build import build
+from neatq_trainers.config import RunConfig
+from neatq_trainers.loop import breed, judge, make_collector
+from neatq_trainers.run import Run
 
 
-def small(arm: Arm, *, life_ticks: int = 120, robots: int = 10, **changes: object) -> RunConfig:
-    config = preset("flag", arm)
-    return replace(
-        config,
-        scenario=config.scenario.replaced(robots=robots, lifetime_ticks=life_ticks),
-        evolution=replace(config.evolution, minimum_life_ticks=life_ticks),
-        **changes,  # pyright: ignore[reportArgumentType]
-    )
+def small(
+    arm: str, changes: dict[str, Any] | None = None, *, life_ticks: int = 120, robots: int = 10
+) -> RunConfig:
+    size = {"robots": robots, "lifetime_ticks": life_ticks}
+    return preset("flag", arm, env_kwargs=size).changed(changes or {})
 
 
-def own_ticks(config: RunConfig, **changes: object) -> RunConfig:
+def own_ticks(config: RunConfig, **changes: Any) -> RunConfig:
     """The same, but every robot learns from its own ticks alone."""
-    learning = replace(config.learning, rule="td", replay=ReplayConfig())
-    return replace(config, learning=replace(learning, **changes))  # pyright: ignore[reportArgumentType]
+    changes = {f"learner.{name}": value for name, value in changes.items()}
+    return config.changed({"learner.kind": "td", **changes})
 
 
 def weights(run: Run) -> list[np.ndarray]:
@@ -36,12 +36,11 @@ def weights(run: Run) -> list[np.ndarray]:
     return [genome.link_weight for genome in run.network.genomes()]
 
 
-def td_errors(arm: Arm, *, learning: bool) -> list[float]:
+def td_errors(arm: str, *, learning: bool) -> list[float]:
     """TD error (squared, of the median robot) of each batch of one life without evolution."""
     config = small(arm, life_ticks=1000, robots=30)
     if arm == "neatq":  # a return that a thousand ticks are enough to learn
-        step = LearnerConfig(learning_rate=0.01, optimizer="adam")
-        config = own_ticks(config, discount=0.9, step=step)
+        config = own_ticks(config, discount=0.9, learning_rate=0.01)
     run, errors = build(config), []
     assert isinstance(run.learner, TDLearner)
     if not learning:
@@ -54,7 +53,7 @@ def td_errors(arm: Arm, *, learning: bool) -> list[float]:
 
 
 @pytest.mark.parametrize("arm", ["described", "neatq"])
-def test_td_error_falls_while_a_frozen_population_lives(arm: Arm) -> None:
+def test_td_error_falls_while_a_frozen_population_lives(arm: str) -> None:
     learning, control = td_errors(arm, learning=True), td_errors(arm, learning=False)
     assert learning[0] == control[0]
     assert np.mean(learning[-10:]) < 0.8 * np.mean(learning[:3])
@@ -62,7 +61,7 @@ def test_td_error_falls_while_a_frozen_population_lives(arm: Arm) -> None:
 
 
 @pytest.mark.parametrize("arm", ["rtneat", "committed"])
-def test_arms_without_learning_change_no_weight_during_life(arm: Arm) -> None:
+def test_arms_without_learning_change_no_weight_during_life(arm: str) -> None:
     run = build(small(arm))
     before = weights(run)
     for number, batch in enumerate(make_collector(run)):
@@ -72,30 +71,28 @@ def test_arms_without_learning_change_no_weight_during_life(arm: Arm) -> None:
     assert all(np.array_equal(a, b) for a, b in zip(before, weights(run), strict=True))
 
 
-@pytest.mark.parametrize("rule", ["td", "wire_fitting"])
-def test_wire_fitting_alone_moves_candidate_actions(rule: str) -> None:
-    run = build(own_ticks(small("neatq"), rule=rule, epsilon=0.5))
+@pytest.mark.parametrize("wires", [False, True])
+def test_wire_fitting_alone_moves_candidate_actions(wires: bool) -> None:
+    run = build(own_ticks(small("neatq"), wires=wires, epsilon=0.5))
     before = weights(run)
     run.learner.update(next(iter(make_collector(run))))
     genomes = [genome for population in run.populations for genome in population.genomes]
     for genome, old, new in zip(genomes, before, weights(run), strict=True):
         acts = np.isin(genome.link_target, genome.output_ids[: 5 * 2])
-        assert (old[acts] != new[acts]).any() == (rule == "wire_fitting")
+        assert (old[acts] != new[acts]).any() == wires
         assert (old[~acts] != new[~acts]).any()
 
 
 @pytest.mark.parametrize("inheritance", ["lamarckian", "darwinian"])
 def test_genes_change_by_exactly_what_was_learnt_or_not_at_all(inheritance: str) -> None:
-    config = small("neatq")
-    learning = replace(config.learning, inheritance=inheritance)
-    run = build(replace(config, learning=learning))
+    run = build(small("neatq", {"learner.inheritance": inheritance}))
     population, founders = run.populations[0], weights(run)
     learnt, newborn = founders, torch.zeros(1, 10, dtype=torch.bool)
     for batch in make_collector(run):
         run.tick += batch.shape[-1]
         run.learner.update(batch)
         learnt = weights(run)
-        population.record(batch.get(("next", "reward_vector"))[0].numpy())
+        judge(run, batch)
         newborn = breed(run)
         if newborn.any():
             break
@@ -106,9 +103,8 @@ def test_genes_change_by_exactly_what_was_learnt_or_not_at_all(inheritance: str)
 
 
 def test_a_newborn_in_a_running_collection_has_a_life_and_a_memory_of_its_own() -> None:
-    config = own_ticks(small("neatq", life_ticks=110))
-    often = replace(config.evolution, ineligible_fraction=0.5)
-    run = build(replace(config, evolution=often))
+    often = {"population.ineligible_fraction": 0.5}
+    run = build(own_ticks(small("neatq", often, life_ticks=110)))
     assert isinstance(run.learner, TDLearner)
     assert run.network is not None
     collector = make_collector(run)
@@ -123,7 +119,7 @@ def test_a_newborn_in_a_running_collection_has_a_life_and_a_memory_of_its_own() 
             # It began at the spawn, in a life of its own.
             assert (batch["step_count"][0, slot, 0, 0] == 0) == (born == number - 1)
         run.learner.update(batch)
-        run.populations[0].record(batch.get(("next", "reward_vector"))[0].numpy())
+        judge(run, batch)
         newborn = breed(run)
         if len(births) >= 5 and newborn.any():
             break
@@ -138,11 +134,15 @@ def test_a_newborn_in_a_running_collection_has_a_life_and_a_memory_of_its_own() 
 
 
 def test_values_are_read_on_the_range_that_is_asked_for() -> None:
-    config = small("neatq")
-    network = replace(config.network, value_range=(0.9, 1.0))
-    run = build(replace(config, network=network))
-    batch = next(iter(make_collector(run)))
-    values = batch.get("action_value")
+    run = build(small("neatq", {"network.value_range": (0.9, 1.0)}))
+    values = next(iter(make_collector(run))).get("action_value")
     assert ((values >= 0.9) & (values <= 1.0)).all()
-    with pytest.raises(ConfigError, match="value_range: expected low < high"):
-        replace(config.network, value_range=(1.0, 1.0))
+    with pytest.raises(ConfigError, match="value_range: expected two finite numbers"):
+        small("neatq", {"network.value_range": (1.0, 1.0)})
+
+
+@pytest.mark.parametrize("learner", ["td", "replay", "traces"])
+def test_networks_with_one_candidate_have_nothing_to_learn(learner: str) -> None:
+    config = small("rtneat", {"learner.kind": learner})
+    with pytest.raises(ConfigError, match=r"network\.candidates: expected at least 2, got 1"):
+        build(config)

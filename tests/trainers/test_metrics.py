@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -11,10 +13,23 @@ import torch
 from tensordict import TensorDict
 
 from neatq_torch.learning import LearningGenes
-from neatq_trainers.build import Run
-from neatq_trainers.metrics import HEADER, Row, rows
+from neatq_trainers.build import build
+from neatq_trainers.callbacks import Callback
+from neatq_trainers.config import RunConfig
+from neatq_trainers.metrics import (
+    DistanceMetrics,
+    DistanceRow,
+    ReturnRow,
+    csv_line,
+    header,
+    row_kind,
+)
+from neatq_trainers.run import Run
+from neatq_trainers.train import start
+from neatq_trainers.worlds import facts_of
 
 NAN = float("nan")
+Tiny = Callable[..., RunConfig]
 
 
 def population(eligible: list[bool], champion: int | None) -> SimpleNamespace:
@@ -29,11 +44,15 @@ def population(eligible: list[bool], champion: int | None) -> SimpleNamespace:
 
 def run_of(tick: int, *populations: SimpleNamespace, epsilon: float = 0.25) -> Run:
     parts = {
-        "config": SimpleNamespace(learning=SimpleNamespace(epsilon=epsilon)),
+        "config": SimpleNamespace(learner=SimpleNamespace(epsilon=epsilon), generational=False),
         "populations": list(populations),
         "genes": None,
     }
     return cast(Run, SimpleNamespace(tick=tick, **parts))
+
+
+def rows(run: Run, batch: TensorDict, error: torch.Tensor) -> list[DistanceRow]:
+    return cast(list[DistanceRow], DistanceMetrics(len(error)).add(run, batch, error))
 
 
 def batch_of(distance: Any) -> TensorDict:
@@ -47,8 +66,8 @@ def test_a_row_by_hand() -> None:
     # Ticks 99, 100, 101: the row is that of tick 100, the second column.
     batch = batch_of([[[9, 10, 9], [9, 20, 9], [9, 60, 9]]])
     run = run_of(101, population([False, True, True], champion=1))
-    (row,) = rows(run, batch, torch.tensor([[0.5, 1.0, 1.5]]))
-    assert row == Row(
+    (row,) = rows(run, batch, torch.tensor([[1.0, 2.0, 3.0]]))
+    assert row == DistanceRow(
         arena=0,
         tick=100,
         min_distance=10.0,
@@ -61,10 +80,10 @@ def test_a_row_by_hand() -> None:
         species=2,
         mean_nodes=6.0,
         mean_links=1.0,
-        td_loss=0.5,
+        td_loss=1.0,  # half of the mean error
         epsilon=0.25,
     )
-    assert row.csv() == "0,100,10,30,60,40,10,20,6,2,6,1,0.5,0.25\n"
+    assert csv_line(row) == "0,100,10,30,60,40,10,20,6,2,6,1,1,0.25\n"
 
 
 def test_where_epsilon_is_a_gene_a_row_has_its_mean() -> None:
@@ -79,12 +98,12 @@ def test_where_epsilon_is_a_gene_a_row_has_its_mean() -> None:
 def test_without_anybody_eligible_and_without_learning_cells_are_empty() -> None:
     run = run_of(100, population([False, False, False], champion=None))
     (row,) = rows(run, batch_of([[[1], [2], [3]]]), torch.full((1, 3), NAN))
-    assert row.csv() == "0,100,1,2,3,,2,,6,2,6,1,,0.25\n"
+    assert csv_line(row) == "0,100,1,2,3,,2,,6,2,6,1,,0.25\n"
 
 
 def test_without_evolution_the_cells_of_genomes_are_empty() -> None:
     (row,) = rows(run_of(100), batch_of([[[1], [2], [3]]]), torch.zeros(1, 3))
-    assert row.csv() == "0,100,1,2,3,,,,0,0,,,0,0.25\n"
+    assert csv_line(row) == "0,100,1,2,3,,,,0,0,,,0,0.25\n"
 
 
 @pytest.mark.parametrize(
@@ -110,14 +129,136 @@ def test_every_hundredth_tick_belongs_to_one_batch(
 
 def test_each_arena_has_its_own_rows_tick_by_tick() -> None:
     batch = batch_of([[[1.0] * 200], [[2.0] * 200]])
-    found = list(rows(run_of(200), batch, torch.tensor([[2.0], [4.0]])))
+    found = list(rows(run_of(200), batch, torch.tensor([[4.0], [8.0]])))
     assert [(row.tick, row.arena) for row in found] == [(100, 0), (100, 1), (200, 0), (200, 1)]
     assert [row.mean_distance for row in found] == [1.0, 2.0, 1.0, 2.0]
-    assert [row.td_loss for row in found] == [1.0, 2.0, 1.0, 2.0]
+    assert [row.td_loss for row in found] == [2.0, 4.0, 2.0, 4.0]
 
 
 def test_the_header_names_the_cells() -> None:
-    assert HEADER == (
+    assert header(DistanceRow) == (
         "arena,tick,min_distance,mean_distance,max_distance,eligible_mean_distance,"
         "newborn_mean_distance,champion_distance,births,species,mean_nodes,mean_links,td_loss,epsilon\n"
     )
+    assert header(ReturnRow) == (
+        "arena,generation,episodes,steps,best_fitness,mean_fitness,evaluated_return,"
+        "champion_return,species,mean_nodes,mean_links,td_error\n"
+    )
+
+
+def test_worlds_of_returns_have_rows_of_returns(tiny: Tiny, tiny_walk: Tiny) -> None:
+    assert row_kind(tiny("neat")) is DistanceRow
+    assert row_kind(tiny_walk("rtneat")) is ReturnRow
+
+
+class Watch(Callback):
+    """Adds up what happens in a run, step by step in plain Python."""
+
+    def __init__(self) -> None:
+        self.steps = self.episodes = 0
+        self.lived = self.errors = torch.zeros(8)
+        self.returns: dict[int, list[float]] = {}
+        self.newborn = 0
+
+    def batch(self, run: Run, batch: Any, error: torch.Tensor) -> None:
+        living = batch.get("living")[0, ..., 0]
+        for slot, tick in living.nonzero().tolist():
+            now = batch[0, slot, tick]
+            own = self.returns.setdefault(slot, [])
+            if now["step_count"] == 0:
+                own.append(0.0)
+            own[-1] += float(now["next", "reward_vector"])
+            self.steps += 1
+            self.episodes += int(now["next", "done"])
+        self.lived = self.lived + living.sum(-1)
+        self.errors = self.errors + error[0] * living.sum(-1)
+
+    def advance(self, run: Run, newborn: torch.Tensor) -> None:
+        self.newborn += int(newborn.sum())
+
+
+def row_of(folder: Any, number: int = 0) -> dict[str, float]:
+    return {name: column[number] for name, column in folder.metrics().items()}
+
+
+@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.parametrize("arm", ["neat", "neat+q"])
+def test_a_row_of_returns_by_hand(arm: str, tiny_walk: Tiny, tmp_path: Path) -> None:
+    """A generation of 8 genomes with 2 episodes each."""
+    watch = Watch()
+    folder = start(tiny_walk(arm, generations=1), tmp_path / "run", callbacks=[watch])
+    row = row_of(folder)
+    assert row["generation"] == 1
+    assert row["episodes"] == watch.episodes == 16
+    assert row["steps"] == watch.steps <= 16 * 20
+    assert [len(own) for own in watch.returns.values()] == [2] * 8
+    fitness = [np.mean(own) for own in watch.returns.values()]
+    assert row["best_fitness"] == pytest.approx(max(fitness), rel=1e-5)
+    assert row["mean_fitness"] == pytest.approx(np.mean(fitness), rel=1e-5)
+    assert row["champion_return"] == row["evaluated_return"]
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_the_td_error_is_the_mean_over_the_steps_of_each_life(
+    tiny_walk: Tiny, tmp_path: Path
+) -> None:
+    watch = Watch()
+    config = tiny_walk("neat+q", generations=1)
+    folder = start(config, tmp_path / "run", callbacks=[watch])
+    assert watch.lived.unique().numel() > 1, "some left the walk early"
+    by_hand = (watch.errors / watch.lived).mean()
+    assert row_of(folder)["td_error"] == pytest.approx(float(by_hand), rel=1e-5)
+
+
+def test_a_td_error_by_hand(tiny_walk: Tiny) -> None:
+    """Errors of two batches, one of which the first slot lived through only half."""
+    config = tiny_walk("neat+q", **{"world.slots": 2, "population.episodes": 1})
+    run = build(config, facts=facts_of(config.world, 0.99))
+    run.world.close()
+    living = torch.ones(1, 2, 4, 1, dtype=torch.bool)
+    for error, ends in (([1.0, 2.0], False), ([4.0, 8.0], True)):
+        if ends:
+            living[0, 0, 2:] = False
+        done = torch.zeros(1, 2, 4, 1, dtype=torch.bool)
+        following = TensorDict({"done": done}, (1, 2, 4))
+        batch = TensorDict({"living": living.clone(), "next": following}, (1, 2, 4))
+        assert list(run.metrics.add(run, batch, torch.tensor([error]))) == []
+    state = run.metrics.state_dict()
+    # Slot 0: 4 steps of 1 and 2 of 4; slot 1: 4 of 2 and 4 of 8.
+    assert (state["_error"] / state["_counted"]).tolist() == [[12 / 6, 40 / 8]]
+    assert state["_steps"].tolist() == [6 + 8]
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_where_genomes_are_replaced_one_by_one_closed_trials_make_rows_and_births(
+    tiny_walk: Tiny, tmp_path: Path
+) -> None:
+    """A trial of 2 episodes of 20 steps; 8 trials make a row.
+
+    Half of the population may be too young, so one is replaced for every two trials that close,
+    after the first of all: 8.
+    """
+    seen: list[tuple[int, int, int]] = []
+
+    class Trials(Callback):
+        def advance(self, run: Run, newborn: torch.Tensor) -> None:
+            population: Any = run.populations[0]
+            total = population.trials.total
+            seen.append((total, population.births, int(newborn.sum())))
+            env: Any = run.world.env
+            now = env.episodes
+            fresh = newborn.flatten().numpy()
+            assert (now.step_count[fresh] == 0).all(), "a newborn begins a new episode"
+            assert (now.reward[fresh] == 0).all()
+
+    watch = Watch()
+    config = tiny_walk("rtneat", steps=1600, batch_ticks=7)
+    folder = start(config, tmp_path / "run", callbacks=[watch, Trials()])
+    assert watch.newborn == seen[-1][1] > 5
+    for total, births, _ in seen:
+        assert births == (total - 8) // 2
+    metrics = folder.metrics()
+    assert metrics["generation"].tolist() == list(range(1, len(metrics["generation"]) + 1))
+    assert metrics["steps"][-1] <= watch.steps
+    assert folder.read()["done"]["generations"] == metrics["generation"][-1]
+    assert (metrics["steps"] % 8 == 0).all(), "all live all the time"

@@ -7,33 +7,40 @@ import errno
 import json
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from neatq_torch.checkpoint import CheckpointError, load_checkpoint
-from neatq_torch.genome import load_genome
+from neatq_torch.checkpoint import CheckpointError
+from neatq_torch.genome import identical, load_genome
+from neatq_trainers.build import build
+from neatq_trainers.callbacks import Callback
 from neatq_trainers.config import RunConfig
-from neatq_trainers.metrics import Row
-from neatq_trainers.report import read_metrics, write_report
-from neatq_trainers.run_folder import (
-    ANIMATION,
+from neatq_trainers.folder import (
     ARENA,
     CHAMPION,
     CHECKPOINT,
     CONFIG,
     CURVES,
     METRICS,
+    PICTURE,
+    TEAM,
     RunFolder,
     RunFolderError,
+    load_run,
+    read_metrics,
 )
-from neatq_trainers.train import resume, start, train
-from neatq_trainers.workers import open_workers
+from neatq_trainers.metrics import DistanceRow, Row
+from neatq_trainers.report import write_report
+from neatq_trainers.train import Session, resume, start
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
 Tiny = Callable[..., RunConfig]
 
 
@@ -55,7 +62,7 @@ def copy(done: Path, tmp_path: Path) -> Path:
 
 
 def test_the_folder_holds_the_results_and_no_temporary_file(done: Path) -> None:
-    wanted = {CONFIG, METRICS, CHECKPOINT, CHAMPION, CURVES, ARENA, ANIMATION, "logs"}
+    wanted = {CONFIG, METRICS, CHECKPOINT, CHAMPION, CURVES, ARENA, TEAM, PICTURE, "logs"}
     assert set(os.listdir(done)) == wanted
 
 
@@ -75,7 +82,7 @@ def test_the_configuration_comes_back(done: Path, config: RunConfig) -> None:
 def test_the_metrics_have_a_row_for_each_arena_and_100_ticks(done: Path) -> None:
     with (done / METRICS).open(newline="") as file:
         header, *rows = csv.reader(file)
-    assert tuple(header) == Row._fields
+    assert tuple(header) == DistanceRow._fields
     wanted = [(arena, tick) for tick in (100, 200, 300) for arena in (0, 1)]
     assert [(int(row[0]), int(row[1])) for row in rows] == wanted
     columns = read_metrics(done)
@@ -90,18 +97,20 @@ def test_the_pictures_can_be_opened(done: Path) -> None:
         with Image.open(done / name) as picture:
             assert picture.format == "PNG"
             assert min(picture.size) >= 300
-    with Image.open(done / ANIMATION) as picture:
+    with Image.open(done / TEAM) as picture:
         assert picture.format == "GIF"
         assert picture.n_frames == 200 // 8  # type: ignore[attr-defined]
 
 
 def test_the_champion_is_the_fittest_robot_with_the_weights_it_learnt(done: Path) -> None:
-    run = RunFolder.open(done).read()
+    folder = RunFolder.open(done)
+    run = build(folder.config, folder.read()["runs"][0])
     champion = run.populations[0].champion
     assert champion is not None
     assert run.network is not None
-    saved, learnt = load_genome(done / CHAMPION), run.network.genome(champion)
-    assert saved.to_dict() == learnt.to_dict()
+    learnt = run.network.genome(champion)
+    assert load_genome(done / CHAMPION).to_dict() == learnt.to_dict()
+    assert identical(load_run(done).champion(), learnt)
 
 
 def test_the_csv_logger_writes_the_means_over_arenas(done: Path) -> None:
@@ -121,12 +130,12 @@ def test_the_tensorboard_logger_writes_events(tiny: Tiny, tmp_path: Path) -> Non
 
 def test_a_run_shorter_than_a_row_still_has_a_report(tiny: Tiny, tmp_path: Path) -> None:
     write_report(start(tiny("qlearning", ticks=1), tmp_path / "run"))
-    wanted = {CONFIG, METRICS, CHECKPOINT, ARENA, ANIMATION}
+    wanted = {CONFIG, METRICS, CHECKPOINT, ARENA, TEAM}
     assert set(os.listdir(tmp_path / "run")) == wanted
 
 
 def test_the_track_is_the_latest_life(done: Path) -> None:
-    state = load_checkpoint(done / CHECKPOINT)
+    state = RunFolder.open(done).read()
     assert state["track"].shape == (9, 200, 3)
     assert state["track"].dtype == np.float32
     # Poses are seen at the beginning of a tick: one tick of at most 1 unit before the world's.
@@ -173,11 +182,13 @@ def rewrite(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
     "change",
     [
         lambda values: values.update(seed=3),
-        lambda values: values["scenario"].update(max_speed=0.5),
-        lambda values: values["learning"].pop("discount"),
-        lambda values: values["learning"].update(discount=7),
+        lambda values: values["world"]["scenario"].update(max_speed=0.5),
+        lambda values: values["learner"].pop("discount"),
+        lambda values: values["learner"].update(discount=7),
         lambda values: values.update(ticks="many"),
-        lambda values: values.update(scenario=[]),
+        lambda values: values["world"].update(scenario=[]),
+        lambda values: values["population"].update(kind="neat"),
+        lambda values: values.update(colour="red"),
     ],
 )
 def test_an_altered_configuration_is_refused(
@@ -213,7 +224,7 @@ def test_metrics_with_other_columns_are_refused_and_left_alone(
     copy: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = (copy / METRICS).read_bytes()
-    monkeypatch.setattr(RunFolder, "header", "arena,tick,something_new\n")
+    monkeypatch.setattr("neatq_trainers.folder.header", lambda _: "arena,tick,something_new\n")
     with pytest.raises(CheckpointError, match="not of this version of neatq"):
         resume(copy)
     assert (copy / METRICS).read_bytes() == before
@@ -228,7 +239,7 @@ def test_a_missing_file_is_named(copy: Path, name: str) -> None:
 
 def test_a_run_cannot_be_made_shorter_than_it_is(copy: Path) -> None:
     before = (copy / CONFIG).read_bytes()
-    tick = RunFolder.open(copy).read().tick
+    tick = RunFolder.open(copy).read()["done"]["ticks"]
     with pytest.raises(RunFolderError, match=f"has {tick} already, got 100"):
         resume(copy, ticks=100)
     assert (copy / CONFIG).read_bytes() == before
@@ -239,18 +250,108 @@ def test_a_full_disk_during_training_leaves_a_run_that_goes_on_exactly(
 ) -> None:
     again = Path(shutil.copytree(copy, tmp_path / "again"))
     resume(copy, ticks=500)
+    tick = RunFolder.open(again).read()["done"]["ticks"]
 
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    folder = RunFolder.open(again)
-    config, states = folder.load(ticks=500)
-    tick = states[0]["tick"]
-    with monkeypatch.context() as patch, open_workers([config], states) as workers:
-        patch.setattr(os, "fsync", full)
-        with pytest.raises(OSError, match="No space left") as caught:
-            train(config, tick, workers, folder)
+    class Fill(Callback):
+        def rows(self, session: Session, rows: Sequence[Row]) -> None:
+            patch.setattr(os, "fsync", full)
+
+    with (
+        monkeypatch.context() as patch,
+        pytest.raises(OSError, match="No space left") as caught,
+    ):
+        resume(again, ticks=500, callbacks=[Fill()])
     assert caught.value.filename == str(again / CHECKPOINT)
-    assert RunFolder.open(again).read().tick == tick
+    assert RunFolder.open(again).read()["done"]["ticks"] == tick
     resume(again)
     assert (again / METRICS).read_bytes() == (copy / METRICS).read_bytes()
+
+
+class Stop(Callback):
+    """Stops a run at a tick, and remembers what was called."""
+
+    def __init__(self, ticks: int) -> None:
+        self.ticks = ticks
+        self.called: list[str] = []
+
+    def rows(self, session: Session, rows: Sequence[Row]) -> None:
+        session.stop |= session.lengths["ticks"] >= self.ticks
+
+    def checkpoint(self, session: Session) -> None:
+        self.called.append("checkpoint")
+
+    def end(self, session: Session) -> None:
+        self.called.append("end")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_run_that_a_callback_stops_ends_in_order_and_can_go_on(
+    workers: int, tiny: Tiny, tmp_path: Path
+) -> None:
+    config, stop = tiny("rtneat", ticks=400, arenas=2), Stop(80)
+    folder = start(config, tmp_path / "run", workers=workers, callbacks=[stop])
+    assert stop.called == ["checkpoint", "end"]
+    assert 80 <= folder.read()["done"]["ticks"] < 400 + 40 * (workers > 1)
+    resume(tmp_path / "run")
+    start(config, tmp_path / "whole")
+    ours, whole = ((tmp_path / name / METRICS).read_bytes() for name in ("run", "whole"))
+    assert ours == whole
+
+
+def test_the_champion_of_a_run_that_a_callback_stops_is_tested(
+    tiny_walk: Tiny, tmp_path: Path
+) -> None:
+    folder = start(tiny_walk("neat"), tmp_path / "run", callbacks=[Stop(1)])
+    result = folder.result()
+    assert result is not None
+    assert result["generations"] == 1
+    assert result["champion"]["episodes"] == 5
+
+
+@pytest.mark.parametrize(
+    ("seconds", "checkpoints"), [(0.0, [40, 80, 120, 160, 200]), (25.0, [160, 200]), (1e9, [200])]
+)
+def test_a_checkpoint_is_written_when_its_seconds_are_over_and_at_the_end(
+    seconds: float,
+    checkpoints: list[int],
+    tiny: Tiny,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A stride of 40 ticks takes 10 seconds of the clock of this test."""
+    saved: list[int] = []
+
+    class Note(Callback):
+        def rows(self, session: Session, rows: Sequence[Row]) -> None:
+            clock[0] += 10
+
+        def checkpoint(self, session: Session) -> None:
+            saved.append(session.lengths["ticks"])
+
+    clock = [0.0]
+    monkeypatch.setattr(
+        "neatq_trainers.callbacks.time", SimpleNamespace(monotonic=lambda: clock[0])
+    )
+    config = replace(tiny("qlearning", ticks=200), checkpoint_seconds=seconds)
+    start(config, tmp_path / "run", callbacks=[Note()])
+    assert saved == checkpoints
+
+
+def test_a_champion_is_remembered_between_generations_in_the_arena(
+    tiny: Tiny, tmp_path: Path
+) -> None:
+    """A generation of one life of 200 ticks is over at the end: nobody is judged yet."""
+    folder = start(tiny("neat", ticks=200), tmp_path / "run")
+    state = folder.read()
+    run = build(folder.config, state["runs"][0])
+    assert run.populations[0].champion is None
+    remembered = run.metrics.champions[0]
+    assert remembered is not None
+    assert remembered.generation == 1
+    assert identical(folder.champion(), remembered.genome)
+    assert remembered.genome.genome_id <= 9, "one of the founders"
+    (_, cell) = read_metrics(folder.path)["champion_distance"]
+    assert not np.isnan(cell), "the row of tick 200 is made before the next generation"

@@ -10,14 +10,16 @@ from typing import Any
 import pytest
 
 from neatq_envs.scenario import TASKS
+from neatq_trainers.arms import ARMS, TASK_TICKS, preset
 from neatq_trainers.build import build
-from neatq_trainers.config import TASK_TICKS, RunConfig, preset
-from neatq_trainers.genome_layout import node_names
-from neatq_trainers.run_folder import METRICS
+from neatq_trainers.config import RunConfig
+from neatq_trainers.folder import METRICS
+from neatq_trainers.genome_figure import node_names
 from neatq_trainers.train import resume, start
+from neatq_trainers.worlds import ArenaConfig
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
 State = dict[str, Any]
-ARMS = ("rtneat", "committed", "described", "neatq", "qlearning")
 FLAG = replace(TASKS["switch"].flag, switch_ticks=70)
 
 
@@ -30,7 +32,9 @@ def test_a_run_that_is_interrupted_between_switches_goes_on_exactly(
     tmp_path: Path,
 ) -> None:
     config = tiny(arm, ticks=320)
-    config = replace(config, scenario=config.scenario.replaced(flag=FLAG, walls=()))
+    assert isinstance(config.world, ArenaConfig)
+    scenario = config.world.scenario.replaced(flag=FLAG, walls=())
+    config = replace(config, world=replace(config.world, scenario=scenario))
     start(config, tmp_path / "whole")
     start(replace(config, ticks=130), tmp_path / "run")
     resume(tmp_path / "run", ticks=320)
@@ -41,9 +45,9 @@ def test_a_run_that_is_interrupted_between_switches_goes_on_exactly(
 
 @pytest.mark.parametrize("arm", ARMS)
 def test_every_arm_senses_both_flags(arm: Any) -> None:
-    config = preset("switch", arm)
-    run = build(replace(config, scenario=config.scenario.replaced(robots=2)))
-    assert "second_flag_left" in run.env.arena.schema.observations
+    run = build(preset("switch", arm, env_kwargs={"robots": 2}))
+    env: Any = run.world.env
+    assert "second_flag_left" in env.arena.schema.observations
     if run.populations:
         genome = run.populations[0].genomes[0]
         assert genome.observation_schema.endswith("-two-flags")

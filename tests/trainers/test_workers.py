@@ -11,17 +11,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
+from neatq_torch.kinds import ConfigError
+from neatq_trainers.callbacks import Callback
 from neatq_trainers.cli import main
-from neatq_trainers.config import ConfigError, RunConfig
+from neatq_trainers.config import RunConfig
+from neatq_trainers.folder import CHAMPION, CONFIG, METRICS, RESULT, RunFolder
 from neatq_trainers.metrics import Row
-from neatq_trainers.progress import Progress
-from neatq_trainers.run_folder import CHAMPION, CONFIG, METRICS, RunFolder
-from neatq_trainers.train import resume, start
+from neatq_trainers.run import Run
+from neatq_trainers.train import Session, resume, start
 from neatq_trainers.workers import fitting_workers, open_workers
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
 Tiny = Callable[..., RunConfig]
-FILES = (CONFIG, METRICS, CHAMPION)
+FILES = (CONFIG, METRICS, CHAMPION, RESULT)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +39,11 @@ def alone(config: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def same_files(one: Path, two: Path) -> bool:
-    return all((one / name).read_bytes() == (two / name).read_bytes() for name in FILES)
+    contents = (
+        [(path / name).read_bytes() for name in FILES if (path / name).is_file()]
+        for path in (one, two)
+    )
+    return next(contents) == next(contents)
 
 
 def test_a_run_is_the_same_in_one_process_and_in_two(
@@ -54,6 +62,66 @@ def test_a_run_is_the_same_in_one_process_and_in_two(
     assert differences(expected, {"populations": populations, "track": parts["track"]}) == []
 
 
+@pytest.mark.parametrize(
+    ("arm", "arenas", "workers", "parts"),
+    [
+        ("neat", 2, 2, 2),  # arenas are dealt
+        ("neat+q", 2, 3, 2),
+        ("neat+q", 1, 2, 1),  # environments are dealt
+        ("rtneat", 1, 3, 1),
+    ],
+)
+def test_processes_make_no_difference_on_a_gymnasium_task(
+    arm: str,
+    arenas: int,
+    workers: int,
+    parts: int,
+    tiny_walk: Tiny,
+    tmp_path: Path,
+    state_of: Callable[[Path], Any],
+    differences: Callable[..., list[str]],
+) -> None:
+    length = {"steps": 800, "batch_ticks": 7} if arm == "rtneat" else {"generations": 3}
+    config = tiny_walk(arm, arenas=arenas, **length)
+    start(config, tmp_path / "one")
+    start(config, tmp_path / "several", workers=workers)
+    assert same_files(tmp_path / "one", tmp_path / "several")
+    one, several = state_of(tmp_path / "one"), state_of(tmp_path / "several")
+    assert len(several["runs"]) == parts
+    if parts == 1:
+        assert differences(one, several) == []
+
+
+def test_generations_in_the_arena_end_at_the_same_tick_in_two_processes(
+    tiny: Tiny, tmp_path: Path
+) -> None:
+    config = tiny("neat", arenas=2, ticks=300)
+    start(config, tmp_path / "one")
+    start(config, tmp_path / "two", workers=2)
+    assert same_files(tmp_path / "one", tmp_path / "two")
+    assert RunFolder.open(tmp_path / "two").read()["done"]["ticks"] == 400
+
+
+def test_a_run_goes_on_with_another_number_of_processes(tiny_walk: Tiny, tmp_path: Path) -> None:
+    config = tiny_walk("rtneat", steps=800, batch_ticks=7)
+    start(config, tmp_path / "whole")
+    start(replace(config, steps=300), tmp_path / "run")
+    resume(tmp_path / "run", steps=800, workers=2)
+    assert same_files(tmp_path / "whole", tmp_path / "run")
+
+
+class Late(Callback):
+    """Does something when a run is as long as that, once."""
+
+    def __init__(self, ticks: int, act: Callable[[], object]) -> None:
+        self.ticks, self.act = ticks, act
+
+    def rows(self, session: Session, rows: Sequence[Row]) -> None:
+        if session.lengths["ticks"] >= self.ticks:
+            self.ticks = 10**9
+            self.act()
+
+
 def interrupt_everybody() -> None:
     """What Ctrl-C in a terminal does: every process of the run gets the signal."""
     for child in multiprocessing.active_children():
@@ -65,20 +133,84 @@ def interrupt_everybody() -> None:
 def test_a_run_in_two_processes_that_is_interrupted_goes_on_exactly(
     config: RunConfig, alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def press(_: Progress, tick: int, rows: Sequence[Row]) -> None:
-        if tick == 80:
-            interrupt_everybody()
-
     folder = tmp_path / "run"
     with monkeypatch.context() as patch:
-        patch.setattr(Progress, "show", press)
         patch.setattr("neatq_trainers.train.STRIDES_AHEAD", 2)
         with pytest.raises(KeyboardInterrupt):
-            start(config, folder, workers=2)
+            start(config, folder, workers=2, callbacks=[Late(80, interrupt_everybody)])
     assert multiprocessing.active_children() == []
-    assert 80 <= RunFolder.open(folder).read().tick < 320
+    assert 80 <= RunFolder.open(folder).read()["done"]["ticks"] < 320
     resume(folder)
     assert same_files(alone, folder)
+
+
+def test_environments_in_two_processes_survive_ctrl_c(tiny_walk: Tiny, tmp_path: Path) -> None:
+    config = tiny_walk("neat", generations=3)
+    start(config, tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        start(config, tmp_path / "run", workers=2, callbacks=[Late(40, interrupt_everybody)])
+    assert multiprocessing.active_children() == []
+    assert RunFolder.open(tmp_path / "run").read()["done"]["generations"] < 3
+    resume(tmp_path / "run")
+    assert same_files(tmp_path / "whole", tmp_path / "run")
+
+
+class Watch(Callback):
+    """Writes down in which process what happened; of processes only their files tell."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def _note(self, what: str) -> None:
+        with (self.folder / str(os.getpid())).open("a") as file:
+            file.write(what + "\n")
+
+    def start(self, session: Session) -> None:
+        self._note("start")
+
+    def batch(self, run: Run, batch: Any, error: torch.Tensor) -> None:
+        assert batch.shape == (*run.shape, run.config.ticks_per_batch)
+        assert error.shape == run.shape
+        self._note("batch")
+
+    def advance(self, run: Run, newborn: torch.Tensor) -> None:
+        assert newborn.any()
+        self._note("advance")
+
+    def rows(self, session: Session, rows: Sequence[Row]) -> None:
+        self._note("rows")
+
+    def checkpoint(self, session: Session) -> None:
+        self._note("checkpoint")
+
+    def end(self, session: Session) -> None:
+        self._note("end")
+
+
+def test_callbacks_are_called_in_order(tiny_walk: Tiny, tmp_path: Path) -> None:
+    """A generation of two episodes of 20 steps is two batches; a checkpoint after each."""
+    start(
+        tiny_walk("neat", generations=2, checkpoint_seconds=0.0, **{"population.episodes": 2}),
+        tmp_path / "run",
+        callbacks=[Watch(tmp_path)],
+    )
+    generation = ["batch", "batch", "advance", "rows", "checkpoint"]
+    noted = (tmp_path / str(os.getpid())).read_text().split()
+    assert noted == ["start", *generation, *generation, "end"]
+
+
+def test_with_two_processes_batches_are_seen_where_they_are_made(
+    config: RunConfig, alone: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "notes").mkdir()
+    start(config, tmp_path / "run", workers=2, callbacks=[Watch(tmp_path / "notes")])
+    noted = {int(file.name): file.read_text().split() for file in (tmp_path / "notes").iterdir()}
+    ours = noted.pop(os.getpid())
+    assert set(ours) == {"start", "rows", "checkpoint", "end"}
+    assert [set(theirs) for theirs in noted.values()] == [{"batch", "advance"}] * 2
+    batches = 320 // config.ticks_per_batch
+    assert [theirs.count("batch") for theirs in noted.values()] == [batches] * 2
+    assert same_files(alone, tmp_path / "run"), "watching changes nothing"
 
 
 def test_checkpoints_between_do_not_change_the_run(
@@ -89,16 +221,15 @@ def test_checkpoints_between_do_not_change_the_run(
 
 
 def test_a_worker_that_dies_leaves_a_checkpoint_and_says_what_to_do(
-    config: RunConfig, alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    config: RunConfig, alone: Path, tmp_path: Path
 ) -> None:
-    def kill(_: Progress, tick: int, rows: Sequence[Row]) -> None:
+    def kill() -> None:
         for child in multiprocessing.active_children():
             child.kill()
 
-    with monkeypatch.context() as patch:
-        patch.setattr(Progress, "show", kill)
-        with pytest.raises(RuntimeError, match="exit code -9; the last checkpoint is intact"):
-            start(replace(config, ticks=10_000), tmp_path / "run", workers=2)
+    long = replace(config, ticks=10_000)
+    with pytest.raises(RuntimeError, match="exit code -9; what is on disk is intact"):
+        start(long, tmp_path / "run", workers=2, callbacks=[Late(0, kill)])
     assert multiprocessing.active_children() == []
     resume(tmp_path / "run", ticks=320)
     assert (alone / METRICS).read_text() == (tmp_path / "run" / METRICS).read_text()
@@ -107,20 +238,27 @@ def test_a_worker_that_dies_leaves_a_checkpoint_and_says_what_to_do(
 def test_an_error_in_a_worker_is_raised_here_with_its_traceback(config: RunConfig) -> None:
     broken = {"tick": 40}
     with (
-        open_workers(config.split(2), [None, broken]) as workers,
+        open_workers(config.split(2), [None, broken], None, [], 2) as workers,
         pytest.raises(KeyError, match="populations") as caught,
     ):
         workers[1].snapshot()
-    assert "_network_run" in caught.value.__notes__[0]
+    assert "_populations" in caught.value.__notes__[0]
     assert multiprocessing.active_children() == []
 
 
 @pytest.mark.parametrize(("cores", "arenas", "workers"), [(2, 20, 2), (16, 20, 5), (8, 1, 1)])
 def test_workers_fill_the_cores_with_at_least_four_arenas_each(
-    cores: int, arenas: int, workers: int, monkeypatch: pytest.MonkeyPatch
+    cores: int, arenas: int, workers: int, config: RunConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
-    assert fitting_workers(arenas) == workers
+    assert fitting_workers(replace(config, arenas=arenas)) == workers
+
+
+def test_gymnasium_environments_are_dealt_to_all_cores(
+    tiny_walk: Tiny, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
+    assert fitting_workers(tiny_walk("neat")) == 8
 
 
 def test_a_run_without_workers_is_refused(

@@ -1,261 +1,184 @@
-"""All parts of a run, made from its configuration and, to go on, from a saved state."""
+"""A run, made from its configuration and, to go on, from a saved state."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from tensordict import TensorDictBase
-from torch import Tensor
-from torchrl.objectives.utils import ValueEstimators
 
-from neatq_envs.torchrl import ArenaEnv
-from neatq_torch.evolution import RtNEAT
-from neatq_torch.genome import InnovationLedger, initial_genome
+from neatq_envs.random_play import EnvFacts
+from neatq_torch.evolution import Population, population_kinds
+from neatq_torch.kinds import ConfigError
 from neatq_torch.learning import (
-    CandidateHeads,
     CandidatePolicy,
-    CandidateTDLoss,
-    CandidateValue,
     EpsilonGreedy,
     Learner,
+    LearnerParts,
     LearningGenes,
-    NoLearning,
-    PartialInheritance,
-    QTable,
-    ReplayLearner,
-    TableLearner,
-    TablePolicy,
-    TDLearner,
-    WireFittingLoss,
+    ReplayConfig,
+    TDConfig,
+    TraceConfig,
+    learner_kinds,
 )
 from neatq_torch.network import PopulationNetwork
-from neatq_trainers.config import LearningConfig, RunConfig
+from neatq_trainers.config import RunConfig, named
+from neatq_trainers.metrics import make_metrics
+from neatq_trainers.run import Run, State
+from neatq_trainers.worlds import GymnasiumConfig, Heads, World, make_world
 
-EVOLUTION_STREAM, REPLAY_STREAM, GENES_STREAM = 1, 2, 3
-
-
-class Policy(Protocol):
-    """What a run asks of a policy."""
-
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Add every robot's action."""
-        ...
-
-    def reset(self, newborn: Tensor) -> None:
-        """Let newborns (mask [arenas, robots]) start afresh."""
-        ...
-
-    def state(self) -> dict[str, Any]:
-        """Everything that a checkpoint must keep."""
-        ...
-
-    def load_state(self, state: dict[str, Any]) -> None:
-        """Go on from `state`."""
-        ...
+GENES_STREAM = 3
+"""Of the random numbers of learning genes: [seed, stream]."""
 
 
-@dataclass(kw_only=True)
-class Run:
-    """The parts of a run.
-
-    Attributes:
-        config: What it was made from.
-        env: The worlds.
-        policy: Acts for all robots.
-        learner: Learns for all robots.
-        network: All networks; None if robots learn in tables.
-        populations: The genomes of each arena; empty without evolution.
-        heritage: Writes a share of what was learnt into the genes; None if all or nothing is.
-        genes: How each robot learns and explores; None if all do alike.
-        tick: Ticks so far.
-    """
-
-    config: RunConfig
-    env: ArenaEnv
-    policy: Policy
-    learner: Learner
-    network: PopulationNetwork | None
-    populations: list[RtNEAT]
-    heritage: PartialInheritance | None = None
-    genes: LearningGenes | None = None
-    tick: int = 0
-
-    def state(self) -> dict[str, Any]:
-        """Everything from which `build` goes on bit for bit; take it between two batches."""
-        state = {
-            "tick": self.tick,
-            "world": self.env.world_state(),
-            "policy": self.policy.state(),
-            "learner": self.learner.state(),
-            "weight": None if self.network is None else self.network.weight,
-            "populations": [population.state_dict() for population in self.populations],
-        }
-        return state | {name: part.state() for name, part in self.optional_parts().items()}
-
-    def optional_parts(self) -> dict[str, PartialInheritance | LearningGenes]:
-        """Those that the configuration asks for, by name."""
-        parts = {"heritage": self.heritage, "genes": self.genes}
-        return {name: part for name, part in parts.items() if part is not None}
-
-
-def build(config: RunConfig, state: dict[str, Any] | None = None) -> Run:
+def build(
+    config: RunConfig,
+    state: State | None = None,
+    *,
+    facts: EnvFacts | None = None,
+    workers: int = 1,
+) -> Run:
     """Make a run.
 
     Args:
         config: What to make.
-        state: What `Run.state` gave, to go on from there; None to begin. A run that had no tick
-            yet begins, as its worlds are drawn then.
+        state: What `Run.state_dict` gave, to go on from there; None to begin. A run that had no
+            tick yet begins, as its worlds are drawn then.
+        facts: What `facts_of` has found of a Gymnasium task.
+        workers: Processes among which its environments are dealt.
     """
     if state is not None and not state["tick"]:
         state = None
-    env = ArenaEnv(config.scenario, arenas=config.arenas, seed=config.seed)
-    run = (_table_run if config.learning.rule == "table" else _network_run)(config, env, state)
-    if state is not None:
-        run.tick = state["tick"]
-        run.env.load_world_state(state["world"])
-        run.policy.load_state(state["policy"])
-        run.learner.load_state(state["learner"])
-        for name, part in run.optional_parts().items():
-            part.load_state(state[name])
-    return run
+    episodes = config.population.episodes if config.generational else None
+    world = make_world(config.world, config.seeds, episodes=episodes, facts=facts, workers=workers)
+    try:
+        return _in_world(config, world, state, episodes)
+    except BaseException:
+        world.close()  # no process may outlive what cannot be built
+        raise
 
 
-def _table_run(config: RunConfig, env: ArenaEnv, _: dict[str, Any] | None) -> Run:
-    learning = config.learning
-    table = QTable(
-        config.shape,
-        *_action_bounds(env),
-        learning_rate=learning.step.learning_rate,
-        discount=learning.discount,
-    )
-    policy = TablePolicy(table, epsilon=learning.epsilon, seeds=_seeds(config))
-    return Run(
+def _in_world(config: RunConfig, world: World, state: State | None, episodes: int | None) -> Run:
+    heads = heads_of(config, world)
+    populations = _populations(config, world, heads, state)
+    network = _network(config, world, populations, state)
+    shape = world.shape
+    parts = LearnerParts(network, heads, shape, config.seeds, episodes)
+    try:
+        learner = learner_kinds.maker_of(config.learner)(config.learner, parts)
+    except ValueError as error:
+        raise ConfigError(named("learner", error)) from error
+    policy = getattr(learner, "policy", None) or _policy(config, network, heads)
+    run = Run(
         config=config,
-        env=env,
-        policy=policy,
-        learner=TableLearner(table),
-        network=None,
-        populations=[],
-    )
-
-
-def _network_run(config: RunConfig, env: ArenaEnv, state: dict[str, Any] | None) -> Run:
-    heads = CandidateHeads(
-        config.network.candidates,
-        *_action_bounds(env),
-        value_range=config.network.value_range or (0.0, 1.0),
-    )
-    if state is None:
-        populations = [_founders(config, env, heads.outputs, seed) for seed in _seeds(config)]
-    else:
-        saved = state["populations"]
-        populations = [RtNEAT.from_state(config.evolution, population) for population in saved]
-    network = PopulationNetwork(
-        [genome for population in populations for genome in population.genomes],
-        shape=config.shape,
-        evaluation=config.network.evaluation,
-    )
-    if state is not None:
-        network.load_weights(state["weight"])
-    exploration = EpsilonGreedy(
-        config.shape,
-        seeds=_seeds(config),
-        epsilon=config.learning.epsilon,
-        max_hold_ticks=config.learning.max_hold_ticks,
-    )
-    policy = CandidatePolicy(
-        network, heads, exploration, double_activation=config.network.double_activation
-    )
-    share = config.learning.inherited_share
-    learner = _learner(config, network, heads)
-    return Run(
-        config=config,
-        env=env,
+        world=world,
+        heads=heads,
         policy=policy,
         learner=learner,
         network=network,
         populations=populations,
-        heritage=None if share is None else PartialInheritance(share, populations),
-        genes=_genes(config, learner, exploration, populations),
+        genes=_genes(config, learner, policy, populations),
+        metrics=make_metrics(config, populations, shape),
+    )
+    run.begin_generation()
+    if state is not None:
+        _restore(run, state)
+    return run
+
+
+def _restore(run: Run, state: State) -> None:
+    run.tick = state["tick"]
+    run.policy.load_state_dict(state["policy"])
+    run.learner.load_state_dict(state["learner"])
+    run.metrics.load_state_dict(state["metrics"])
+    if "world" in state:
+        run.world.env.load_world_state(state["world"])
+    if run.genes is not None:
+        run.genes.load_state_dict(state["genes"])
+
+
+def heads_of(config: RunConfig, world: World) -> Heads:
+    """How outputs are read; without learning they are no values and keep their own range."""
+    network, learner = config.network, config.learner
+    values = network.value_range or (0.0, 1.0)
+    if config.learns and network.value_range is None:
+        normalized = getattr(learner, "normalize_return", False)
+        values = world.default_range(learner.discount, normalized=normalized)
+    heads = world.heads(network.candidates, values)
+    if heads.candidates < 2 and isinstance(learner, TDConfig | ReplayConfig | TraceConfig):
+        raise ConfigError(
+            "network.candidates: expected at least 2, got 1; a single action has no Q-value that "
+            "could be learnt"
+        )
+    return heads
+
+
+def _populations(
+    config: RunConfig, world: World, heads: Heads, state: State | None
+) -> list[Population]:
+    if config.population is None:
+        return []
+    kind, own = population_kinds.maker_of(config.population), config.population
+    weights = world.reward_weights
+    if state is not None:
+        return [kind.from_state(own, one, reward_weights=weights) for one in state["populations"]]
+    ranks = not config.learns and isinstance(config.world, GymnasiumConfig)
+    only_ranks = ranks and heads.outputs == heads.candidates > 1
+    try:
+        return [
+            kind.start(
+                own,
+                slots=world.shape[1],
+                inputs=world.inputs,
+                outputs=heads.outputs,
+                rng=np.random.default_rng([seed, world.stream]),
+                reward_weights=weights,
+                activation=config.network.activation or ("identity" if only_ranks else "sigmoid"),
+                observation_schema=config.world.schema,
+            )
+            for seed in config.seeds
+        ]
+    except ValueError as error:
+        raise ConfigError(named("population", error)) from error
+
+
+def _network(
+    config: RunConfig, world: World, populations: list[Population], state: State | None
+) -> PopulationNetwork | None:
+    if not populations:
+        return None
+    genomes = [genome for population in populations for genome in population.genomes]
+    shape, evaluation = world.shape, config.network.evaluation
+    network = PopulationNetwork(genomes, shape=shape, evaluation=evaluation)
+    if state is not None:
+        network.load_weights(state["weight"])
+    return network
+
+
+def _policy(config: RunConfig, network: PopulationNetwork | None, heads: Heads) -> CandidatePolicy:
+    assert network is not None  # else the learner has a policy of its own
+    learner = config.learner
+    exploration = EpsilonGreedy(
+        network.shape,
+        seeds=config.seeds,
+        epsilon=getattr(learner, "epsilon", 0.0),
+        max_hold_ticks=getattr(learner, "max_hold_ticks", 1),
+    )
+    return CandidatePolicy(
+        network,
+        heads,
+        exploration,
+        double_activation=config.network.double_activation,
+        forgets=isinstance(config.world, GymnasiumConfig),
     )
 
 
 def _genes(
-    config: RunConfig, learner: Learner, exploration: EpsilonGreedy, populations: list[RtNEAT]
+    config: RunConfig, learner: Learner, policy: Any, populations: list[Population]
 ) -> LearningGenes | None:
-    if config.learning.genes is None:
+    power = getattr(config.learner, "genes", None)
+    if power is None:
         return None
-    own = learner.learner if isinstance(learner, ReplayLearner) else learner
-    assert isinstance(own, TDLearner)  # the configuration has seen to it
-    seeds = [(seed, GENES_STREAM) for seed in _seeds(config)]
-    return LearningGenes(config.learning.genes, own, exploration, populations, seeds)
-
-
-def _learner(config: RunConfig, network: PopulationNetwork, heads: CandidateHeads) -> Learner:
-    learning = config.learning
-    if learning.rule == "none":
-        return NoLearning(network)
-    loss = _loss(learning, network, heads)
-    learner = TDLearner(network, loss, learning.step)
-    if not learning.replay.updates:
-        return learner
-    return ReplayLearner(
-        learner,
-        lambda young: _loss(learning, young, heads),  # pyright: ignore[reportArgumentType]
-        learning.replay,
-        [_replay_seed(seed) for seed in _seeds(config)],
-    )
-
-
-def _replay_seed(seed: int) -> int:
-    return int(np.random.SeedSequence([seed, REPLAY_STREAM]).generate_state(1)[0])
-
-
-def _loss(
-    learning: LearningConfig, network: PopulationNetwork, heads: CandidateHeads
-) -> CandidateTDLoss:
-    wires = learning.rule == "wire_fitting"
-    settings: dict[str, Any] = {"separation": learning.separation or 0.0} if wires else {}
-    loss = (WireFittingLoss if wires else CandidateTDLoss)(
-        CandidateValue(network, heads, propose=wires),
-        delay_value=learning.step.target_tau is not None,
-        normalize_return=learning.normalize_return,
-        bootstrap=learning.bootstrap,
-        epsilon_greedy=learning.epsilon,
-        **settings,
-    )
-    if learning.trace_decay and learning.discount:
-        # Tick by tick: convolutions give other last bits when other arenas stand beside.
-        decay = {"lmbda": learning.trace_decay, "vectorized": False}
-        loss.make_value_estimator(ValueEstimators.TDLambda, gamma=learning.discount, **decay)
-    else:
-        loss.make_value_estimator(ValueEstimators.TD0, gamma=learning.discount)
-    return loss
-
-
-def _founders(config: RunConfig, env: ArenaEnv, outputs: int, seed: int) -> RtNEAT:
-    rng = np.random.default_rng([seed, EVOLUTION_STREAM])
-    founders = [
-        initial_genome(
-            len(env.arena.schema.observations),
-            outputs,
-            rng=rng,
-            activation=config.network.activation,
-            observation_schema=env.arena.schema.name,
-            genome_id=number,
-        )
-        for number in range(1, config.scenario.robots + 1)
-    ]
-    ledger = InnovationLedger.for_genomes(founders)
-    return RtNEAT(config.evolution, founders, rng, ledger, len(founders) + 1)
-
-
-def _action_bounds(env: ArenaEnv) -> tuple[list[float], list[float]]:
-    low, high = env.arena.schema.action_bounds(env.scenario)
-    return low.tolist(), high.tolist()
-
-
-def _seeds(config: RunConfig) -> range:
-    return range(config.seed, config.seed + config.arenas)
+    seeds = [(seed, GENES_STREAM) for seed in config.seeds]
+    # Of shared replay, the one that takes the steps.
+    own: Any = getattr(learner, "learner", learner)
+    return LearningGenes(power, own, policy.exploration, populations, seeds)

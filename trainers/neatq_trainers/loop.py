@@ -1,127 +1,181 @@
-"""The training loop."""
+"""The training loop: seven steps, for every world.
+
+1 compile: the genomes of all slots become one network.
+2 act: each network chooses an action.
+3 the world moves: all slots by one tick; a batch of ticks is collected.
+4 learn: each network is updated.
+5 judge: the rewards of the batch count towards fitness and age.
+6 write back: what was learnt goes into the genomes, if it is to be inherited.
+7 replace: newborns take the slots that the population frees.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Generator, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.collectors import Collector
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from neatq_torch.genome import ScalesOf
+from neatq_envs.torchrl_env import RowsEnv
 from neatq_torch.learning import write_back
-from neatq_torch.network import perturbation_scales
-from neatq_trainers.build import Run
-from neatq_trainers.metrics import Row, rows
+from neatq_trainers.callbacks import Callback
+from neatq_trainers.metrics import Row
+from neatq_trainers.run import Run
 
 
 class Stride(NamedTuple):
     """What came of the ticks from one moment at which a run can stop to the next.
 
     Attributes:
-        rows: New rows of metrics, by tick and arena.
-        poses: Poses of the robots of the first arena [robots, ticks, 3].
+        rows: New rows of metrics.
+        poses: Poses of the robots of the first arena [slots, ticks, 3]; None in other worlds.
+        tick: Ticks of the run so far.
+        steps: Steps so far of the arena that has fewest.
+        generation: Generations that all arenas have lived through.
     """
 
     rows: list[Row]
-    poses: np.ndarray
+    poses: np.ndarray | None
+    tick: int
+    steps: int
+    generation: int
+
+    def done(self, unit: str) -> int:
+        """How long the run is in a unit of length."""
+        return {"ticks": self.tick, "steps": self.steps, "generations": self.generation}[unit]
 
 
-def strides(run: Run) -> Generator[Stride]:
-    """Train without end; yields after every `stride_ticks` ticks.
+def strides(run: Run, callbacks: Sequence[Callback] = ()) -> Generator[Stride]:
+    """Train without end; yields at every moment at which the run can stop and go on exactly.
 
-    Everything that a batch [arenas, robots, ticks] leads to happens here, in order.
+    That is after every `stride_ticks` ticks, or between two generations.
     """
-    collector = make_collector(run)
-    new_rows: list[Row] = []
+    rows: list[Row] = []
     poses: list[np.ndarray] = []
+    collector = make_collector(run)
     try:
-        for batch in collector:  # act
+        for batch in collector:  # 2 act, 3 the world moves: [arenas, slots, ticks]
             run.tick += batch.shape[-1]
-            error = run.learner.update(batch)  # learn
-            record(run, batch)  # fitness, age
-            new_rows += rows(run, batch, error)
-            poses.append(batch.get("pose")[0].numpy())
-            newborn = breed(run, batch.get("observation"))  # write back, replace
+            error = run.learner.update(batch)  # 4 learn
+            judge(run, batch)  # 5 judge: fitness and age
+            rows += run.metrics.add(run, batch, error)
+            for callback in callbacks:
+                callback.batch(run, batch, error)
+            if (pose := batch.get("pose", None)) is not None:
+                poses.append(pose[0].numpy())
+            newborn = breed(run)  # 6 write back, 7 replace, and 1 compile again
             if newborn.any():
                 collector.reset(index=newborn)  # a new life for a new genome
-            if run.tick % run.config.stride_ticks == 0:
-                run.env.rebuild()  # only from here on can a run go on exactly
-                yield Stride(new_rows, np.concatenate(poses, 1))
-                new_rows, poses = [], []
+                for callback in callbacks:
+                    callback.advance(run, newborn)
+            if (
+                newborn.all()
+                if run.config.generational
+                else run.tick % run.config.stride_ticks == 0
+            ):
+                if hasattr(run.world.env, "rebuild"):
+                    run.world.env.rebuild()  # only from here on can a run go on exactly
+                track = np.concatenate(poses, 1) if poses else None
+                yield Stride(rows, track, run.tick, run.metrics.steps(run), run.generation)
+                rows, poses = [], []
     finally:
         collector.shutdown(close_env=False)
 
 
 def make_collector(run: Run) -> Collector:
-    """A collector of batches [arenas, robots, ticks], without end."""
-    arenas, robots = run.config.shape
-    return Collector(
-        run.env,
+    """A collector of batches [arenas, slots, ticks], without end."""
+    explores = getattr(run.config.learner, "epsilon", 1.0) > 0  # else nothing is drawn for it
+    chance: Any = ExplorationType.RANDOM if explores else ExplorationType.DETERMINISTIC
+    kind = _RowsCollector if isinstance(run.world.env, RowsEnv) else Collector
+    return kind(
+        run.world.env,
         run.policy,
-        frames_per_batch=arenas * robots * run.config.ticks_per_batch,
+        frames_per_batch=run.world.env.batch_size.numel() * run.config.ticks_per_batch,
         total_frames=-1,
         auto_register_policy_transforms=False,
         use_buffers=False,  # a network's state may grow from batch to batch
         track_traj_ids=False,  # the age of a life tells more
+        exploration_type=chance,
     )
 
 
-def record(run: Run, batch: TensorDictBase) -> None:
-    """Tell rtNEAT what all robots went through in a batch [arenas, robots, ticks]."""
-    rewards = batch.get(("next", "reward_vector")).numpy()
-    places = batch.get(("next", "pose"))[..., :2].numpy()  # for novelty
+class _RowsCollector(Collector):
+    """The same batches for environments of rows, at less cost.
+
+    All is on the CPU, and the ticks of a batch have the same entries, so they need not be looked
+    through for what differs, and a batch that was just made need not be copied.
+    """
+
+    def iterator(self) -> Iterator[TensorDictBase]:
+        """Batch after batch."""
+        while True:
+            yield self.rollout()
+
+    @torch.no_grad()
+    def rollout(self) -> TensorDictBase:
+        """The next batch."""
+        ticks = []
+        with set_exploration_type(self.exploration_type):
+            for _ in range(self.frames_per_batch):
+                acted = self._wrapped_policy(self._carrier)
+                tick, self._carrier = self.env.step_and_maybe_reset(acted)
+                ticks.append(tick)
+        return _stacked(ticks)
+
+
+def _stacked(ticks: Sequence[TensorDictBase]) -> TensorDict:
+    """Ticks of batch size [arenas, slots] as one batch [arenas, slots, ticks]."""
+    size, dim = torch.Size([*ticks[0].batch_size, len(ticks)]), ticks[0].batch_dims
+    columns: list[dict[str, Any]] = [dict(tick.items()) for tick in ticks]
+    values: dict[str, Any] = {}
+    for key, first in columns[0].items():
+        column = [one[key] for one in columns]
+        nested = isinstance(first, TensorDict)
+        values[key] = _stacked(column) if nested else torch.stack(column, dim)
+    return TensorDict._new_unsafe(values, size)
+
+
+def judge(run: Run, batch: TensorDictBase) -> None:
+    """Tell evolution what all slots went through in a batch [arenas, slots, ticks]."""
+    following = batch.get("next")
+    vector, pose = following.get("reward_vector", None), following.get("pose", None)
+    rewards = (following.get("reward") if vector is None else vector).numpy()
+    done = following.get("done").squeeze(-1).numpy()
     for arena, population in enumerate(run.populations):
         counts = None
         if run.genes is not None:  # what a robot explored is not its fault
             best = batch.get("action_value")[arena].argmax(-1)
             counts = (batch.get("candidate_index")[arena] == best).numpy()
-        population.record(rewards[arena], places[arena], counts)
+        where = None if pose is None else pose[arena, ..., :2].numpy()  # for novelty
+        population.record(rewards[arena], done[arena], behaviour=where, counts=counts)
 
 
-def breed(run: Run, observation: Tensor | None = None) -> Tensor:
-    """Let rtNEAT replace robots where it is due.
-
-    Args:
-        run: The run.
-        observation: What robots saw last [arenas, robots, ticks, inputs], for safe mutation.
-
-    Returns:
-        The newborn [arenas, robots].
-    """
-    newborn = torch.zeros(run.config.shape, dtype=torch.bool)
-    network = run.network
-    if network is None or not any(population.due() for population in run.populations):
+def breed(run: Run) -> Tensor:
+    """Let evolution replace genomes where it is due; returns the newborn [arenas, slots]."""
+    newborn = torch.zeros(run.shape, dtype=torch.bool)
+    network, due = run.network, [population.due() > 0 for population in run.populations]
+    if network is None or not (all(due) if run.config.generational else any(due)):
         return newborn
-    if run.config.learning.inheritance == "lamarckian":
-        inherit = write_back if run.heritage is None else run.heritage.write_back
-        inherit(network, run.populations)
+    if getattr(run.config.learner, "inheritance", "darwinian") == "lamarckian":
+        write_back(network, run.populations, due)
+    run.replacements = []
     for arena, population in enumerate(run.populations):
-        for replacement in population.replace(_scales_of(run, arena, observation)):
+        replacements = population.advance()
+        run.replacements.append(replacements)
+        for replacement in replacements:
             newborn[arena, replacement.slot] = True
-            place = arena * len(population.genomes) + replacement.slot
-            network.replace(place, replacement.genome)
-            if run.heritage is not None:
-                run.heritage.reset(place, replacement.genome)
-            if run.genes is not None:
-                run.genes.inherit(arena, replacement)
+            network.replace(arena * run.shape[1] + replacement.slot, replacement.genome)
+        if run.genes is not None:
+            run.genes.inherit(arena, replacements)
     if newborn.any():
+        run.begin_generation()
         if run.genes is not None:
             run.genes.express()
         run.learner.reset(newborn)
         run.policy.reset(newborn)
     return newborn
-
-
-def _scales_of(run: Run, arena: int, observation: Tensor | None) -> ScalesOf | None:
-    """How far mutation moves weights in an arena; None if all alike."""
-    count = run.config.learning.safe_mutation
-    if count is None or observation is None:
-        return None
-    seen = observation[arena].flatten(0, 1)
-    seen = seen[torch.arange(count) * len(seen) // count]
-    return partial(perturbation_scales, observation=seen, evaluation=run.config.network.evaluation)

@@ -1,23 +1,30 @@
-"""What a run says of itself: one row for each arena and every 100 ticks."""
+"""What a run says of itself: rows of numbers for each arena."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from neatq_torch.evolution import RtNEAT
-from neatq_trainers.build import Run
+from neatq_envs.episodes import EVALUATION, episode_seeds
+from neatq_torch.evolution import Population
+from neatq_torch.genome import Genome
+from neatq_trainers.config import RunConfig
+from neatq_trainers.run import Champion, Metrics, Run, State
+from neatq_trainers.worlds import ArenaConfig, GymnasiumWorld
 
 ROW_TICKS = 100
 """One tick of the published figures."""
 
 
-class Row(NamedTuple):
-    """One row of `metrics.csv`; distances are to the flag, in units. None is an empty cell."""
+class DistanceRow(NamedTuple):
+    """A row for every 100 ticks in the arena; distances are to the flag, in units.
+
+    None is an empty cell.
+    """
 
     arena: int
     tick: int
@@ -34,21 +41,56 @@ class Row(NamedTuple):
     td_loss: float | None
     epsilon: float
 
-    def csv(self) -> str:
-        """The row as a line of CSV."""
-        return csv_line(self)
+
+class ReturnRow(NamedTuple):
+    """A row for every generation in worlds of returns. None is an empty cell.
+
+    Attributes:
+        arena: Number of the arena.
+        generation: From 1. Where genomes are replaced one at a time, as many lives as there are
+            slots.
+        episodes: In which genomes of the arena have lived so far; evaluations do not count.
+        steps: Of these episodes.
+        best_fitness: Best mean return of a life, exploration included.
+        mean_fitness: Mean over all slots.
+        evaluated_return: Best mean return of an evaluated genome, if there was an evaluation.
+        champion_return: That of the champion, when it was evaluated.
+        species: Species among which the genomes are divided.
+        mean_nodes: Nodes of a genome.
+        mean_links: Enabled links of a genome.
+        td_error: Mean squared TD error.
+    """
+
+    arena: int
+    generation: int
+    episodes: int
+    steps: int
+    best_fitness: float
+    mean_fitness: float
+    evaluated_return: float | None
+    champion_return: float
+    species: int
+    mean_nodes: float
+    mean_links: float
+    td_error: float | None
 
 
-Line = tuple[int | float | None, ...]
-"""A row: a NamedTuple of numbers. None is an empty cell."""
+Row = DistanceRow | ReturnRow
 
 
-def csv_line(row: Line) -> str:
+def row_kind(config: RunConfig) -> type[DistanceRow] | type[ReturnRow]:
+    """The rows that a run writes."""
+    return DistanceRow if isinstance(config.world, ArenaConfig) else ReturnRow
+
+
+def header(kind: type[Row]) -> str:
+    """First line of `metrics.csv`."""
+    return ",".join(kind._fields) + "\n"
+
+
+def csv_line(row: Row) -> str:
     """A row as a line of CSV."""
     return ",".join(map(_cell, row)) + "\n"
-
-
-HEADER = ",".join(Row._fields) + "\n"
 
 
 def _cell(value: float | None) -> str:
@@ -57,42 +99,75 @@ def _cell(value: float | None) -> str:
     return str(value) if isinstance(value, int) else f"{value:.6g}"
 
 
-def rows(run: Run, batch: TensorDictBase, error: Tensor) -> Iterator[Row]:
-    """The rows that fall into a batch.
+def make_metrics(
+    config: RunConfig, populations: Sequence[Population], shape: tuple[int, int]
+) -> Metrics:
+    """What watches a run of shape (arenas, slots) in its world."""
+    if row_kind(config) is DistanceRow:
+        return DistanceMetrics(shape[0])
+    return ReturnMetrics(populations, shape)
 
-    Args:
-        run: The run, its `tick` at the end of the batch.
-        batch: [arenas, robots, ticks].
-        error: Mean squared TD error of each robot in the batch [arenas, robots]; half of it is the
-            row's `td_loss`.
-    """
-    distance = batch.get(("next", "distance")).squeeze(-1).numpy()
-    first = run.tick - distance.shape[-1]
-    loss = 0.5 * error.mean(-1).numpy()
-    for tick in range((first // ROW_TICKS + 1) * ROW_TICKS, run.tick + 1, ROW_TICKS):
-        for arena, now in enumerate(distance[:, :, tick - first - 1]):
-            population = run.populations[arena] if run.populations else None
-            distances = {
-                "min_distance": float(now.min()),
-                "mean_distance": float(now.mean()),
-                "max_distance": float(now.max()),
-            }
-            learning = {
-                "td_loss": None if np.isnan(loss[arena]) else float(loss[arena]),
-                "epsilon": _epsilon(run, arena),
-            }
-            yield Row(arena=arena, tick=tick, **distances, **_judged(population, now), **learning)
+
+class DistanceMetrics:
+    """In the arena."""
+
+    def __init__(self, arenas: int) -> None:
+        self.champions: list[Champion | None] = [None] * arenas
+
+    def add(self, run: Run, batch: TensorDictBase, error: Tensor) -> list[Row]:
+        """See `Metrics`. Half of the error is the row's `td_loss`."""
+        if run.config.generational:
+            self._remember(run)
+        return list(self._rows(run, batch, 0.5 * error.mean(-1).numpy()))
+
+    def _rows(self, run: Run, batch: TensorDictBase, loss: np.ndarray) -> Iterator[DistanceRow]:
+        distance = batch.get(("next", "distance")).squeeze(-1).numpy()
+        first = run.tick - distance.shape[-1]
+        for tick in range((first // ROW_TICKS + 1) * ROW_TICKS, run.tick + 1, ROW_TICKS):
+            for arena, now in enumerate(distance[:, :, tick - first - 1]):
+                population = run.populations[arena] if run.populations else None
+                yield DistanceRow(
+                    arena=arena,
+                    tick=tick,
+                    min_distance=float(now.min()),
+                    mean_distance=float(now.mean()),
+                    max_distance=float(now.max()),
+                    **_judged(population, now),
+                    td_loss=None if np.isnan(loss[arena]) else float(loss[arena]),
+                    epsilon=_epsilon(run, arena),
+                )
+
+    def _remember(self, run: Run) -> None:
+        """Between generations nobody is the fittest: keep the champion of the one before."""
+        for arena, population in enumerate(run.populations):
+            if population.due() and run.network is not None:
+                slot = int(np.argmax(population.fitness))
+                genome = run.network.genome(arena * run.shape[1] + slot)
+                score = float(population.fitness[slot])
+                self.champions[arena] = Champion(genome, score, population.generations)
+
+    def steps(self, run: Run) -> int:
+        """Each tick is a step of every robot."""
+        return run.tick * run.shape[1]
+
+    def state_dict(self) -> State:
+        """The champions."""
+        return {"champions": _saved(self.champions)}
+
+    def load_state_dict(self, state: State) -> None:
+        """Go on from `state_dict`."""
+        self.champions = _loaded(state["champions"])
 
 
 def _epsilon(run: Run, arena: int) -> float:
     """That of all robots; where it is a gene, their mean."""
     if run.genes is None:
-        return run.config.learning.epsilon
+        return getattr(run.config.learner, "epsilon", 0.0)
     return float(run.genes.values[arena, :, 1].mean())
 
 
-def _judged(population: RtNEAT | None, now: np.ndarray) -> dict[str, Any]:
-    """What evolution adds to a row; `now` are the distances [robots]."""
+def _judged(population: Population | None, now: np.ndarray) -> dict[str, Any]:
+    """What evolution adds to a row; `now` are the distances [slots]."""
     if population is None:
         nothing = ("eligible_mean_distance", "newborn_mean_distance", "champion_distance")
         empty = (*nothing, "mean_nodes", "mean_links")
@@ -103,11 +178,147 @@ def _judged(population: RtNEAT | None, now: np.ndarray) -> dict[str, Any]:
         "newborn_mean_distance": _mean(now[~eligible]),
         "champion_distance": None if champion is None else float(now[champion]),
         "births": population.births,
+        **_sizes(population),
+    }
+
+
+def _sizes(population: Population) -> dict[str, Any]:
+    genomes = population.genomes
+    return {
         "species": len(population.species),
-        "mean_nodes": float(np.mean([genome.node_id.size for genome in population.genomes])),
-        "mean_links": float(np.mean([g.link_enabled.sum() for g in population.genomes])),
+        "mean_nodes": float(np.mean([genome.node_id.size for genome in genomes])),
+        "mean_links": float(np.mean([genome.link_enabled.sum() for genome in genomes])),
     }
 
 
 def _mean(values: np.ndarray) -> float | None:
     return float(values.mean()) if values.size else None
+
+
+class ReturnMetrics:
+    """In worlds of returns: a row when an arena has lived through one more generation.
+
+    On Gymnasium tasks the fittest are now and then evaluated on held-out episodes, and the champion
+    is the one that was evaluated best; elsewhere it is the one with the best life.
+
+    Args:
+        populations: That of each arena.
+        shape: (arenas, slots).
+    """
+
+    _counters = ("_steps", "_episodes", "_error", "_counted", "_generations")
+
+    def __init__(self, populations: Sequence[Population], shape: tuple[int, int]) -> None:
+        arenas, _ = shape
+        self.champions: list[Champion | None] = [None] * arenas
+        self._steps, self._episodes = np.zeros(arenas, np.int64), np.zeros(arenas, np.int64)
+        self._error, self._counted = np.zeros(shape), np.zeros(shape, np.int64)
+        self._generations = np.array([population.generations for population in populations])
+
+    def add(self, run: Run, batch: TensorDictBase, error: Tensor) -> list[ReturnRow]:
+        """See `Metrics`."""
+        living = batch.get("living", None)
+        ones = np.ones(batch.shape, np.int64)
+        ticks = (ones if living is None else living.squeeze(-1).numpy()).sum(-1)
+        self._steps += ticks.sum(-1)
+        self._episodes += batch.get(("next", "done")).flatten(1).sum(1).numpy()
+        self._error += error.double().numpy() * ticks
+        self._counted += ticks
+        if run.config.generational and not all(one.due() for one in run.populations):
+            return []  # an evaluation takes the environments, in which some still live
+        return [
+            self._row(run, arena)
+            for arena, population in enumerate(run.populations)
+            if population.generations > self._generations[arena]
+        ]
+
+    def _row(self, run: Run, arena: int) -> ReturnRow:
+        population = run.populations[arena]
+        evaluated = self._evaluated(run, arena)
+        self._generations[arena] = population.generations
+        champion = self.champions[arena]
+        assert champion is not None
+        counted, total = self._counted[arena], self._error[arena]
+        error = float((total[counted > 0] / counted[counted > 0]).mean())
+        self._error[arena], self._counted[arena] = 0, 0
+        return ReturnRow(
+            arena=arena,
+            generation=population.generations,
+            episodes=int(self._episodes[arena]),
+            steps=int(self._steps[arena]),
+            best_fitness=float(np.nanmax(population.returns)),
+            mean_fitness=float(np.nanmean(population.returns)),
+            evaluated_return=evaluated,
+            champion_return=champion.score,
+            **_sizes(population),
+            td_error=None if np.isnan(error) else error,
+        )
+
+    def _evaluated(self, run: Run, arena: int) -> float | None:
+        """Look for a champion; the best held-out return, if there was an evaluation."""
+        population, world = run.populations[arena], run.world
+        now, before = population.generations, self._generations[arena]
+        if not isinstance(world, GymnasiumWorld):
+            self._crown(run, arena, [int(np.nanargmax(population.returns))], population.returns)
+            return None
+        config = world.config
+        if self.champions[arena] is not None and now // config.every == before // config.every:
+            return None
+        fittest = np.argsort(-population.fitness, kind="stable")[: config.evaluated]
+        genomes = [self._genome(run, arena, slot) for slot in fittest.tolist()]
+        seeds = episode_seeds(run.config.seeds[arena], 0, config.episodes, purpose=EVALUATION)
+        starts = np.repeat(seeds[None], len(genomes), axis=0)
+        scores = np.full(len(population.genomes), np.nan)
+        network = run.config.network
+        scores[fittest] = world.returns(
+            genomes,
+            starts,
+            run.heads,
+            network.evaluation,
+            double_activation=network.double_activation,
+        ).mean(1)
+        self._crown(run, arena, fittest.tolist(), scores)
+        return float(np.nanmax(scores))
+
+    def _crown(self, run: Run, arena: int, slots: list[int], scores: np.ndarray) -> None:
+        """The best of some slots is the champion, unless the one before is better."""
+        best = max(slots, key=lambda slot: scores[slot])
+        before, score = self.champions[arena], float(scores[best])
+        if before is None or score >= before.score:
+            generation = run.populations[arena].generations
+            self.champions[arena] = Champion(self._genome(run, arena, best), score, generation)
+
+    def _genome(self, run: Run, arena: int, slot: int) -> Genome:
+        assert run.network is not None
+        return run.network.genome(arena * run.shape[1] + slot)
+
+    def steps(self, run: Run) -> int:
+        """Steps so far of the arena that has fewest."""
+        return int(self._steps.min())
+
+    def state_dict(self) -> State:
+        """Counters and champions."""
+        counters = {name: getattr(self, name).copy() for name in self._counters}
+        return {"champions": _saved(self.champions), **counters}
+
+    def load_state_dict(self, state: State) -> None:
+        """Go on from `state_dict`."""
+        self.champions = _loaded(state["champions"])
+        for name in self._counters:
+            setattr(self, name, np.array(state[name]))
+
+
+def _saved(champions: Sequence[Champion | None]) -> list[State | None]:
+    return [
+        None if one is None else {**one._asdict(), "genome": one.genome.to_dict()}
+        for one in champions
+    ]
+
+
+def _loaded(saved: Sequence[State | None]) -> list[Champion | None]:
+    return [
+        None
+        if one is None
+        else Champion(Genome.from_dict(one["genome"]), one["score"], one["generation"])
+        for one in saved
+    ]

@@ -2,65 +2,98 @@
 
 from __future__ import annotations
 
-import csv
 import io
+import math
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from PIL import Image
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from neatq_envs.episodes import TEST, episode_seeds
+from neatq_envs.gymnasium_task import TaskError
+from neatq_envs.random_play import EnvFacts
 from neatq_envs.render import animation, draw_paths, frame
-from neatq_envs.torchrl import ArenaEnv
 from neatq_torch.atomic import write_atomic
-from neatq_trainers.build import Run
-from neatq_trainers.metrics import ROW_TICKS
-from neatq_trainers.run_folder import (
-    ANIMATION,
+from neatq_trainers.build import build
+from neatq_trainers.folder import (
     ARENA,
+    CHAMPION,
     CURVES,
-    METRICS,
+    FILM,
+    PICTURE,
+    TEAM,
+    Columns,
     RunFolder,
     life_ticks,
 )
+from neatq_trainers.genome_figure import draw_genome
+from neatq_trainers.metrics import ROW_TICKS
+from neatq_trainers.policy import ChampionPolicy, make_policy
+from neatq_trainers.run import Run
+from neatq_trainers.worlds import ArenaConfig, ArenaWorld, GymnasiumConfig
 
 FRAME_TICKS = 8
-"""Ticks between two frames of the animation."""
+"""Ticks between two frames of the team's animation."""
+MOST_FRAMES = 150
+WIDEST = 300
+"""Pixels of a frame of the champion's animation."""
 
-Metrics = dict[str, np.ndarray]
+_DISTANCES = (
+    ("min_distance", "tab:blue", "nearest robot"),
+    ("mean_distance", "tab:green", "mean of the team"),
+    ("eligible_mean_distance", "0.45", "mean of the eligible"),
+    ("newborn_mean_distance", "tab:orange", "mean of the newborn"),
+)
+_RETURNS = (
+    ("mean_fitness", "tab:green", "mean of all lives"),
+    ("best_fitness", "0.6", "best life"),
+    ("champion_return", "tab:blue", "champion, when it was evaluated"),
+)
 
 
-def write_report(folder: RunFolder) -> None:
-    """Write `curves.png`, `arena.png` and `team.gif` into the folder of a run.
+def write_report(folder: RunFolder) -> list[str]:
+    """Write the pictures of a run into its folder.
 
-    A run without a row of metrics yet has no curves, one without a batch no paths.
+    All worlds: `curves.png`; where there is a champion, `champion.png`. The arena: `arena.png` and
+    `team.gif`. Gymnasium: `champion.gif`, where the environment can be drawn. A run without a row
+    of metrics yet has no curves, one without a batch no paths.
+
+    Returns:
+        What was left out, and why.
     """
-    run = folder.read()
-    life = life_ticks(run.config)
-    arena = run.env.arena
-    champion = run.populations[0].champion if run.populations else None
-    metrics = read_metrics(folder.path)
-    if metrics["tick"].size:
-        title = f"{run.config.arm} on {run.config.scenario.name}"
-        save_figure(draw_curves(metrics, title), folder.path / CURVES)
-    if folder.track:
-        poses = folder.latest_track(life).swapaxes(0, 1)
-        paths = draw_paths(
-            run.config.scenario,
-            poses,
-            arena.flag[0],
-            highlight=champion,
-            highlight_label="champion",
-        )
-        save_figure(paths, folder.path / ARENA)
-    poses, flags = play(run, life)
-    frames = [
-        frame(run.config.scenario, pose[:, :2], pose[:, 2], flag, highlight=champion)
-        for pose, flag in zip(poses[::FRAME_TICKS], flags[::FRAME_TICKS], strict=True)
-    ]
-    write_atomic(folder.path / ANIMATION, animation(frames))
+    metrics = folder.metrics()
+    if metrics["arena"].size:
+        title = f"{folder.config.arm} on {folder.config.task}"
+        curves = draw_curves(metrics, title, one_by_one=not folder.config.generational)
+        save_figure(curves, folder.path / CURVES)
+    champion = folder.champion() if (folder.path / CHAMPION).is_file() else None
+    if isinstance(folder.config.world, ArenaConfig):
+        if champion is not None:
+            save_figure(draw_genome(champion), folder.path / PICTURE)
+        _draw_team(folder, folder.config.world)
+        return []
+    if champion is None:
+        return []
+    facts = folder.read()["facts"]
+    policy = make_policy(folder.config, champion, facts and EnvFacts.from_dict(facts))
+    picture = draw_genome(
+        champion,
+        input_names=[f"observation {i}" for i in range(policy.network.inputs)],
+        output_names=output_names(folder, policy),
+    )
+    save_figure(picture, folder.path / PICTURE)
+    try:
+        frames = film(folder, policy)
+    except TaskError as error:
+        return [f"{FILM}: {error}"]
+    if frames:
+        write_atomic(folder.path / FILM, animation(frames))
+    return []
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -70,21 +103,107 @@ def save_figure(figure: Figure, path: Path) -> None:
     write_atomic(path, buffer.getvalue())
 
 
-@torch.no_grad()
-def play(run: Run, ticks: int) -> tuple[np.ndarray, np.ndarray]:
-    """Let the team live together from the spawn, without exploration and without learning.
+def draw_curves(metrics: Columns, title: str, *, one_by_one: bool = True) -> Figure:
+    """The curves of a run.
+
+    In the arena: least and mean distance to the flag over time, as Robertson & Wu (2014) drew them,
+    and the means of the robots that are old enough to be judged and of the others, in whose
+    distance an offspring shows what it is worth at birth. Elsewhere: return over episodes.
+
+    With several arenas the lines are means over arenas, the bands cover all of them.
 
     Args:
-        run: Its networks act; their recurrent state is used up.
+        metrics: Columns of `metrics.csv`.
+        title: What ran.
+        one_by_one: Whether genomes are replaced one by one; else all are newborn at once, and then
+            all are old enough.
+    """
+    figure = Figure(figsize=(8, 5.2), layout="tight")
+    axes = figure.add_subplot()
+    arenas = len(np.unique(metrics["arena"]))
+    distances = "min_distance" in metrics
+    when = metrics["tick"] / ROW_TICKS if distances else metrics["episodes"]
+    shown = _DISTANCES if one_by_one else _DISTANCES[:2]
+    for name, colour, label in shown if distances else _RETURNS:
+        if not np.isnan(metrics[name]).all():
+            _draw_curve(axes, when, metrics[name], colour, label)
+    axes.set_xlabel(
+        f"figure tick ({ROW_TICKS} simulation ticks)" if distances else "episodes lived in an arena"
+    )
+    axes.set_ylabel("distance to the flag (units)" if distances else "return of an episode")
+    axes.set_title(title if arenas == 1 else f"{title}: mean and range of {arenas} arenas")
+    axes.set_xlim(0, when.max() * (1 if distances else 1.02))  # so that the last step is seen
+    if distances:
+        axes.set_ylim(bottom=0)
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    return figure
+
+
+def _draw_curve(axes: Axes, when: np.ndarray, column: np.ndarray, colour: str, label: str) -> None:
+    moments = np.unique(when[~np.isnan(column)])
+    each = [column[when == moment] for moment in moments]
+    each = [values[~np.isnan(values)] for values in each]
+    middle = "mean of the" in label and "team" not in label
+    champion = label.startswith("champion")  # stays until another one is better
+    axes.plot(
+        moments,
+        [values.mean() for values in each],
+        color=colour,
+        lw=0.9 if middle else 1.5,
+        label=label,
+        marker="o" if moments.size == 1 else None,
+        drawstyle="steps-post" if champion else "default",
+    )
+    if not middle and max(values.size for values in each) > 1:
+        low, high = ([f(values) for values in each] for f in (np.min, np.max))
+        step = "post" if champion else None
+        axes.fill_between(moments, low, high, color=colour, alpha=0.15, lw=0, step=step)
+
+
+def _draw_team(folder: RunFolder, world: ArenaConfig) -> None:
+    state = folder.read()
+    config = folder.config.split(len(state["runs"]))[0]
+    run, life = build(config, state["runs"][0]), life_ticks(config)
+    assert isinstance(run.world, ArenaWorld)
+    champion = run.populations[0].champion if run.populations else None
+    track = state["track"].swapaxes(0, 1)
+    if config.generational and world.scenario.lifetime_ticks:
+        # The batch in which a generation ends may be longer than its lives.
+        track = track[: len(track) - -life % config.ticks_per_batch]
+    if track.size:
+        paths = draw_paths(
+            world.scenario,
+            track,
+            run.world.env.arena.flag[0],
+            highlight=champion,
+            highlight_label="champion",
+        )
+        save_figure(paths, folder.path / ARENA)
+    poses, flags = play(run, life)
+    frames = [
+        frame(world.scenario, pose[:, :2], pose[:, 2], flag, highlight=champion)
+        for pose, flag in zip(poses[::FRAME_TICKS], flags[::FRAME_TICKS], strict=True)
+    ]
+    write_atomic(folder.path / TEAM, animation(frames))
+
+
+@torch.no_grad()
+def play(run: Run, ticks: int) -> tuple[np.ndarray, np.ndarray]:
+    """Let a team live together from the spawn, without exploration and without learning.
+
+    Args:
+        run: In the arena. Its networks act; their recurrent state is used up.
         ticks: How long.
 
     Returns:
-        Poses [ticks, robots, 3] (x, y, heading in rad) and flags [ticks, 2] of arena 0.
+        Poses [ticks, slots, 3] (x, y, heading in rad) and flags [ticks, 2] of arena 0.
     """
-    config = run.config
-    env = ArenaEnv(config.scenario, arenas=config.arenas, seed=config.seed)
+    world = run.config.world
+    assert isinstance(world, ArenaConfig)
+    env = ArenaWorld(world, run.config.seeds).env
     poses, flags = [], []
-    run.policy.reset(torch.ones(config.shape, dtype=torch.bool))
+    run.policy.reset(torch.ones(run.shape, dtype=torch.bool))
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         rows = env.reset()
         for _ in range(ticks):
@@ -94,57 +213,54 @@ def play(run: Run, ticks: int) -> tuple[np.ndarray, np.ndarray]:
     return np.stack(poses), np.stack(flags)
 
 
-def read_metrics(path: Path) -> Metrics:
-    """The columns of a run's `metrics.csv`, float64 [rows] each; empty cells are NaN."""
-    with (path / METRICS).open(newline="") as file:
-        reader = csv.DictReader(file)
-        rows = list(reader)
-        names = reader.fieldnames or []
-    return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
+def output_names(folder: RunFolder, policy: ChampionPolicy) -> list[str]:
+    """What the outputs of a network mean."""
+    heads = policy.heads
+    if policy.interface is not None and policy.interface.choices is not None:
+        value = "value of action" if folder.config.learns else "action"
+        return [f"{value} {action}" for action in range(policy.interface.choices)]
+    if heads.candidates == 1:
+        return [f"action {action}" for action in range(heads.actions)]
+    parts = ((c, a) for c in range(heads.candidates) for a in range(heads.actions))
+    names = [f"candidate {c} action {a}" for c, a in parts]
+    return names + [f"value of candidate {c}" for c in range(heads.candidates)]
 
 
-def draw_curves(metrics: Metrics, title: str) -> Figure:
-    """Least and mean distance to the flag over time, as Robertson & Wu (2014) drew them.
+def film(folder: RunFolder, policy: ChampionPolicy) -> list[np.ndarray]:
+    """Frames, uint8 [height, width, 3], of the champion's first test episode.
 
-    Beside them the means of the robots that are old enough to be judged and of the others, in whose
-    distance an offspring shows what it is worth at birth.
+    None of them if the environment draws nothing.
 
-    With several arenas the lines are means over arenas, the band covers all of them.
-
-    Args:
-        metrics: Columns as `read_metrics` gives them.
-        title: What ran.
+    Raises:
+        TaskError: If something is missing that it needs to draw.
     """
-    figure = Figure(figsize=(8, 5.2), layout="tight")
-    axes = figure.add_subplot()
-    arenas = len(np.unique(metrics["arena"]))
-    _draw_curve(axes, metrics, "min_distance", "tab:blue", "nearest robot")
-    _draw_curve(axes, metrics, "mean_distance", "tab:green", "mean of the team")
-    for name, colour, label in (
-        ("eligible_mean_distance", "0.45", "mean of the eligible"),
-        ("newborn_mean_distance", "tab:orange", "mean of the newborn"),
-    ):
-        if not np.isnan(metrics[name]).all():
-            _draw_curve(axes, metrics, name, colour, label, band=False)
-    axes.set_xlabel(f"figure tick ({ROW_TICKS} simulation ticks)")
-    axes.set_ylabel("distance to the flag (units)")
-    axes.set_title(title if arenas == 1 else f"{title}: mean and range of {arenas} arenas")
-    axes.set_xlim(0, metrics["tick"].max() / ROW_TICKS)
-    axes.set_ylim(bottom=0)
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
-    return figure
+    world, result = folder.config.world, folder.result()
+    if not isinstance(world, GymnasiumConfig) or result is None:
+        return []
+    plain = world.task.make()
+    modes = plain.metadata.get("render_modes") or ()
+    plain.close()
+    if "rgb_array" not in modes:
+        return []
+    seed = int(episode_seeds(result["champion"]["seed"], 0, 1, purpose=TEST)[0])
+    env = world.task.make(render_mode="rgb_array")
+    frames = []
+    try:
+        policy.reset()
+        observation, _ = env.reset(seed=seed)
+        done = False
+        while not done:
+            frames.append(_small(np.asarray(env.render())))
+            observation, _, terminated, truncated, _ = env.step(policy(observation))
+            done = terminated or truncated
+    except gymnasium.error.DependencyNotInstalled as error:
+        raise TaskError(f"left out: {error}") from error
+    finally:
+        env.close()
+    return frames[:: math.ceil(len(frames) / MOST_FRAMES)]
 
 
-def _draw_curve(
-    axes: Axes, metrics: Metrics, name: str, colour: str, label: str, *, band: bool = True
-) -> None:
-    ticks = np.unique(metrics["tick"])
-    values = np.stack([metrics[name][metrics["tick"] == tick] for tick in ticks])
-    known = ~np.isnan(values).all(1)
-    ticks, values = ticks[known] / ROW_TICKS, values[known]
-    width = 1.4 if band else 0.9
-    axes.plot(ticks, np.nanmean(values, 1), color=colour, lw=width, label=label)
-    if band and values.shape[1] > 1:
-        low, high = np.nanmin(values, 1), np.nanmax(values, 1)
-        axes.fill_between(ticks, low, high, color=colour, alpha=0.15, lw=0)
+def _small(picture: np.ndarray) -> np.ndarray:
+    image = Image.fromarray(picture)
+    image.thumbnail((WIDEST, WIDEST))
+    return np.asarray(image)

@@ -1,101 +1,351 @@
-"""Training from the first tick to the last: workers, run folder, progress, Ctrl-C."""
+"""Training from the first tick to the last: workers, run folder, callbacks, Ctrl-C."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
+import re
+import signal
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from neatq_trainers.config import ConfigError, RunConfig
-from neatq_trainers.interrupt import stop_on_interrupt
+import numpy as np
+
+from neatq_envs.episodes import TEST, episode_seeds
+from neatq_envs.random_play import EnvFacts
+from neatq_torch.kinds import ConfigError
+from neatq_trainers.arms import preset
+from neatq_trainers.build import heads_of
+from neatq_trainers.callbacks import (
+    Callback,
+    Checkpoints,
+    MetricsFile,
+    ProgressBar,
+    Report,
+    TorchRLLogger,
+)
+from neatq_trainers.config import RunConfig
+from neatq_trainers.effects import refuse_without_effect
+from neatq_trainers.folder import RunFolder
 from neatq_trainers.loop import Stride
 from neatq_trainers.metrics import Row
-from neatq_trainers.progress import Progress
-from neatq_trainers.run_folder import RunFolder
-from neatq_trainers.workers import Worker, open_workers
+from neatq_trainers.run import Champion
+from neatq_trainers.workers import Worker, fitting_workers, open_workers
+from neatq_trainers.worlds import GymnasiumConfig, GymnasiumWorld, facts_of, make_world
 
 STRIDES_AHEAD = 8
 """Strides that a worker may have under way, so that none waits for a slower one."""
+BUILT_IN = (MetricsFile, TorchRLLogger, ProgressBar, Checkpoints, Report)
+LENGTHS = ("ticks", "steps", "generations")
 
 
-def start(config: RunConfig, out: Path, *, workers: int = 1) -> RunFolder:
-    """Make the folder `out` and train in it from the beginning.
+@dataclass(kw_only=True)
+class Session:
+    """A run while it trains.
 
-    Args:
-        config: The run.
-        out: A new or empty folder.
-        workers: Processes among which the arenas are dealt, at most one for each arena; 1 trains
-            in this process. The results do not depend on it.
-
-    Raises:
-        ConfigError: If the run cannot be built, there are no workers, or the folder is in use.
-        KeyboardInterrupt: After Ctrl-C; `resume` goes on.
-    """
-    if workers < 1:
-        raise ConfigError(f"workers: expected at least 1, got {workers}")
-    parts = config.split(min(workers, config.arenas))
-    with open_workers(parts, [None] * len(parts)) as team:
-        begun = [worker.snapshot() for worker in team]  # what cannot be built leaves no folder
-        folder = RunFolder.create(out, config)
-        folder.checkpoint(config, begun)
-        train(config, 0, team, folder)
-    return folder
-
-
-def resume(out: Path, ticks: int | None = None) -> RunFolder:
-    """Go on with the run in folder `out`, to `ticks` ticks if given, else as long as planned.
-
-    It goes on with as many workers as it was begun with.
-    """
-    folder = RunFolder.open(out)
-    config, states = folder.load(ticks=ticks)
-    with open_workers(config.split(len(states)), states) as team:
-        train(config, states[0]["tick"], team, folder)
-    return folder
-
-
-def train(config: RunConfig, tick: int, workers: Sequence[Worker], folder: RunFolder) -> None:
-    """Train until the run has the ticks of its configuration, or until Ctrl-C.
-
-    Args:
-        config: The whole run.
-        tick: Ticks that it has already.
-        workers: Train its arenas.
+    Attributes:
+        config: What runs.
         folder: Where the results go.
+        facts: Of a Gymnasium task.
+        lengths: How long the run is so far, by unit.
+        stop: Set it to end the training in order; `resume` goes on.
+        wants_checkpoint: Set it to have a checkpoint written soon.
+    """
+
+    config: RunConfig
+    folder: RunFolder
+    facts: EnvFacts | None
+    lengths: dict[str, int] = field(default_factory=lambda: dict.fromkeys(LENGTHS, 0))
+    stop: bool = False
+    wants_checkpoint: bool = False
+
+    @property
+    def done(self) -> int:
+        """How long the run is so far, in the unit of its length."""
+        return self.lengths[self.config.length[0]]
+
+
+def train(  # noqa: PLR0913  (each is a setting of a run)
+    task: str,
+    arm: str = "neatq",
+    *,
+    env_kwargs: Mapping[str, Any] | None = None,
+    population: str | None = None,
+    learner: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+    ticks: int | None = None,
+    steps: int | None = None,
+    generations: int | None = None,
+    arenas: int = 1,
+    seed: int = 0,
+    out: Path | str | None = None,
+    workers: int | None = None,
+    callbacks: Sequence[Callback] = (),
+) -> RunFolder:
+    """Train a population and write a run folder.
+
+    Args:
+        task: A built-in task ("wall"), the path of a scenario file, "gym:ID" for a Gymnasium
+            environment, or the name of a registered world.
+        arm: The preset of population, learner and network; see `ARMS`.
+        env_kwargs: Keys of the scenario, or arguments of the environment, with other values.
+        population: Another kind of population than the arm's: "rtneat", "neat", "fixed" or one
+            that was registered.
+        learner: Another kind of learner: "none", "td", "replay", "traces", "table" or one that was
+            registered.
+        settings: Other values by dotted path, such as {"learner.epsilon": 0.05}.
+        ticks: Length in a world of robots.
+        steps: Length on a Gymnasium task, in environment steps of all genomes of an arena.
+        generations: Length on a Gymnasium task.
+        arenas: Independent populations side by side; arena i is the run with seed + i.
+        seed: Of arena 0. The same seed gives the same run.
+        out: The run folder; new or empty. Default: runs/TASK-ARM-seedSEED.
+        workers: Processes; the results do not depend on it. Default: those that fit this machine.
+        callbacks: Called while it trains.
+
+    Returns:
+        The run.
 
     Raises:
-        KeyboardInterrupt: If it was stopped; what it has so far is in the folder.
+        ConfigError: If the run cannot be made as asked, or the folder is in use.
+        TaskError: If the environment cannot be used.
+        EpisodeError: If an environment fails; `resume` goes on from the last checkpoint.
+        KeyboardInterrupt: After Ctrl-C; `resume` goes on.
+
+    Example:
+        >>> run = train("gym:CartPole-v1", arm="neat", generations=10)
+        >>> policy = load_policy(run.folder)
     """
-    stride, first_arenas = config.stride_ticks, config.first_arenas(len(workers))
-    ahead = stride * (STRIDES_AHEAD if len(workers) > 1 else 1)
-    asked = saved = tick
-    due, done = time.monotonic() + config.checkpoint_seconds, tick >= config.ticks
-    with Progress(config.ticks, tick) as progress, stop_on_interrupt() as stop:
-        while not done:
-            pausing = stop.requested or (tick > saved and time.monotonic() >= due)
-            while not pausing and asked < min(config.ticks, tick + ahead):
+    length = {"ticks": ticks, "steps": steps, "generations": generations}
+    config = preset(
+        task, arm, env_kwargs=env_kwargs, population=population, learner=learner, length=length
+    )
+    changes = {"arenas": arenas, "seed": seed, **(settings or {})}
+    config = config.changed(changes)
+    refuse_without_effect(config, settings or {})
+    return start(config, out, workers=workers, callbacks=callbacks)
+
+
+def start(
+    config: RunConfig,
+    out: Path | str | None = None,
+    *,
+    workers: int | None = 1,
+    callbacks: Sequence[Callback] = (),
+) -> RunFolder:
+    """Make a run folder and train in it from the beginning; see `train`."""
+    path = default_folder(config) if out is None else Path(out)
+    count = _checked(workers, config)
+    facts = facts_of(config.world, getattr(config.learner, "discount", 0.99))
+    parts = config.split(min(count, config.arenas))
+    everybody = [kind() for kind in BUILT_IN] + list(callbacks)
+    with open_workers(parts, [None] * len(parts), facts, everybody, count) as team:
+        begun = [worker.snapshot() for worker in team]  # what cannot be built leaves no folder
+        session = Session(config=config, folder=RunFolder.create(path, config), facts=facts)
+        session.folder.save(begun, facts, session.lengths)
+        if facts is not None and not facts.repeatable:
+            print(
+                f"neatq: {config.task} does not repeat itself with the same seed, so neither will "
+                "this run",
+                file=sys.stderr,
+            )
+        _train(session, team, everybody)
+    return session.folder
+
+
+def resume(
+    path: Path | str,
+    *,
+    ticks: int | None = None,
+    steps: int | None = None,
+    generations: int | None = None,
+    workers: int | None = None,
+    callbacks: Sequence[Callback] = (),
+) -> RunFolder:
+    """Go on with a run, exactly where it stopped.
+
+    Args:
+        path: Its folder.
+        ticks: Another length, as in `train`.
+        steps: Another length.
+        generations: Another length.
+        workers: Processes among which Gymnasium environments are dealt; arenas stay with as many
+            processes as the run was begun with.
+        callbacks: Called while it trains.
+
+    Raises:
+        RunFolderError: If there is no run in the folder, or it is longer than that already.
+        CheckpointError: If the run is damaged.
+
+    Example:
+        >>> resume("runs/wall-neatq-seed0", ticks=100_000)
+    """
+    folder = RunFolder.open(path)
+    state = folder.load(ticks=ticks, steps=steps, generations=generations)
+    config, states = folder.config, state["runs"]
+    facts = None if state["facts"] is None else EnvFacts.from_dict(state["facts"])
+    parts, everybody = config.split(len(states)), [kind() for kind in BUILT_IN] + list(callbacks)
+    with open_workers(parts, states, facts, everybody, _checked(workers, config)) as team:
+        session = Session(config=config, folder=folder, facts=facts, lengths=state["done"])
+        _train(session, team, everybody)
+    return folder
+
+
+def default_folder(config: RunConfig) -> Path:
+    """Where a run goes if nobody says so."""
+    name = re.sub(r"[^\w.-]+", "-", config.world.label)
+    return Path("runs") / f"{name}-{config.arm}-seed{config.seed}"
+
+
+def _checked(workers: int | None, config: RunConfig) -> int:
+    if workers is not None and workers < 1:
+        raise ConfigError(f"workers: expected at least 1, got {workers}")
+    return fitting_workers(config) if workers is None else workers
+
+
+def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Callback]) -> None:
+    """Train until the run has its length, or until somebody stops it.
+
+    Raises:
+        KeyboardInterrupt: If Ctrl-C stopped it; what it has so far is in the folder.
+    """
+    unit, total = session.config.length
+    # Only ticks are known before they are over, and not where a stride is a generation.
+    known = unit == "ticks" and not session.config.generational
+    ahead, stride = STRIDES_AHEAD if len(workers) > 1 and known else 1, session.config.stride_ticks
+    under_way, unsaved = 0, False
+    for callback in callbacks:
+        callback.start(session)
+    with _stop_on_interrupt(session) as interrupted:
+        while True:
+            pausing = session.stop or (session.wants_checkpoint and unsaved)
+            if not pausing and under_way < ahead and session.done + under_way * stride < total:
                 for worker in workers:
                     worker.begin()
-                asked += stride
-            if tick < asked:
-                came = [worker.finish() for worker in workers]
-                tick += stride
-                rows = in_order(came, first_arenas)
-                folder.record(config, came[0].poses, rows)
-                progress.show(tick, rows)
+                under_way += 1
+            elif under_way:
+                _take(session, [worker.finish() for worker in workers], callbacks)
+                under_way, unsaved = under_way - 1, True
             else:  # nobody is at work
-                folder.checkpoint(config, [worker.snapshot() for worker in workers])
-                saved, due = tick, time.monotonic() + config.checkpoint_seconds
-                done = stop.requested or tick >= config.ticks
-    if tick < config.ticks:
+                snapshots = [worker.snapshot() for worker in workers]
+                session.folder.save(snapshots, session.facts, session.lengths)
+                session.wants_checkpoint = unsaved = False
+                for callback in callbacks:
+                    callback.checkpoint(session)
+                if session.stop or session.done >= total:
+                    break
+    if session.done < total and interrupted:
         raise KeyboardInterrupt
+    _test(session, [one for part in snapshots for one in part.champions])
+    for callback in callbacks:
+        callback.end(session)
+
+
+def _take(session: Session, came: Sequence[Stride], callbacks: Sequence[Callback]) -> None:
+    """Take over what came of a stride of all workers."""
+    session.lengths = {unit: min(stride.done(unit) for stride in came) for unit in LENGTHS}
+    session.folder.add_poses(came[0].poses)
+    rows = in_order(came, session.config.first_arenas(len(came)))
+    for callback in callbacks:
+        callback.rows(session, rows)
 
 
 def in_order(came: Sequence[Stride], first_arenas: Sequence[int]) -> list[Row]:
-    """The rows of all arenas by tick and arena, from those of each worker's arenas."""
+    """The rows of all arenas by time and arena, from those of each worker's arenas."""
     numbered = [
         row._replace(arena=first + row.arena)
         for first, stride in zip(first_arenas, came, strict=True)
         for row in stride.rows
     ]
-    return sorted(numbered, key=lambda row: (row.tick, row.arena))
+    return sorted(numbered, key=lambda row: (row[1], row.arena))
+
+
+def _test(session: Session, champions: Sequence[Champion | None]) -> None:
+    """Test the champions of a Gymnasium task on episodes that nobody has seen."""
+    config, facts = session.config, session.facts
+    if not isinstance(config.world, GymnasiumConfig) or None in champions:
+        return
+    world = make_world(config.world, config.seeds, episodes=1, facts=facts)
+    assert isinstance(world, GymnasiumWorld)
+    assert facts is not None
+    seeds = [
+        episode_seeds(seed, 0, config.world.test_episodes, purpose=TEST) for seed in config.seeds
+    ]
+    known = [one for one in champions if one is not None]
+    returns = world.returns(
+        [one.genome for one in known],
+        np.stack(seeds),
+        heads_of(config, world),
+        config.network.evaluation,
+        double_activation=config.network.double_activation,
+    )
+    world.close()
+    arenas = [
+        {
+            "arena": arena,
+            "seed": config.seeds[arena],
+            "generation": champion.generation,
+            "evaluated_return": champion.score,
+            **summary(returns[arena]),
+        }
+        for arena, champion in enumerate(known)
+    ]
+    best = max(range(len(known)), key=lambda arena: known[arena].score)
+    session.folder.write_result(
+        {
+            "task": config.task,
+            "arm": config.arm,
+            "generations": session.lengths["generations"],
+            "champion": arenas[best],
+            "arenas": arenas,
+            "repeatable": facts.repeatable,
+        }
+    )
+    session.folder.notes.append(_said(arenas[best], arenas))
+
+
+def _said(best: Mapping[str, Any], arenas: Sequence[Mapping[str, Any]]) -> str:
+    """What the test of the champions showed, in a line."""
+    text = (
+        f"champion of arena {best['arena']}: return {best['mean']:.1f} ± "
+        f"{best['standard_error']:.1f} (mean and standard error of {best['episodes']} new episodes)"
+    )
+    if len(arenas) > 1:
+        every = summary(np.array([one["mean"] for one in arenas]))
+        text += (
+            f"; of all {len(arenas)} arenas: {every['mean']:.1f} ± "
+            f"{every['standard_error']:.1f} over arenas"
+        )
+    return text
+
+
+def summary(returns: np.ndarray) -> dict[str, float | int]:
+    """Mean and standard error over episodes [episodes]."""
+    error = float(returns.std(ddof=1) / np.sqrt(returns.size)) if returns.size > 1 else 0.0
+    return {"mean": float(returns.mean()), "standard_error": error, "episodes": returns.size}
+
+
+@contextmanager
+def _stop_on_interrupt(session: Session) -> Iterator[list[bool]]:
+    """Turn the first Ctrl-C into a request to stop in order; a second one interrupts.
+
+    Yields a list that is empty until then.
+    """
+    interrupted: list[bool] = []
+
+    def request(*_: object) -> None:
+        interrupted.append(True)
+        session.stop = True
+        signal.signal(signal.SIGINT, previous)
+
+    try:
+        previous = signal.signal(signal.SIGINT, request)
+    except ValueError:  # only the main thread may handle signals
+        yield interrupted
+        return
+    try:
+        yield interrupted
+    finally:
+        signal.signal(signal.SIGINT, previous)

@@ -1,37 +1,44 @@
 """Who trains the arenas of a run: this process, or several at once.
 
 Arenas do not influence each other, so they can be dealt to processes in any way: the results are
-the same, bit for bit.
+the same, bit for bit. Where there are fewer arenas than processes, the environments of a Gymnasium
+task are dealt instead.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
+import torch
+
+from neatq_envs.processes import Remote, usable_cores
+from neatq_envs.random_play import EnvFacts
 from neatq_torch.genome import Genome
 from neatq_trainers.build import build
+from neatq_trainers.callbacks import Callback
 from neatq_trainers.config import RunConfig
 from neatq_trainers.loop import Stride, strides
-from neatq_trainers.processes import Remote, usable_cores
+from neatq_trainers.run import Champion, State
+from neatq_trainers.worlds import ArenaConfig
 
 ARENAS_PER_WORKER = 4
 """A tick of one arena costs nearly as much as a tick of four."""
-
-State = dict[str, Any]
 
 
 class Snapshot(NamedTuple):
     """A run as it stands between two strides.
 
     Attributes:
-        state: What `Run.state` gives.
+        state: What `Run.state_dict` gives.
         champion: The fittest genome of the first arena, with the weights its robot has learnt.
+        champions: Those that are remembered, one for each arena.
     """
 
     state: State
     champion: Genome | None
+    champions: list[Champion | None]
 
 
 class Worker(Protocol):
@@ -51,11 +58,26 @@ class Worker(Protocol):
 
 
 class LocalWorker:
-    """Trains in this process."""
+    """Trains in this process.
 
-    def __init__(self, config: RunConfig, state: State | None) -> None:
-        self._run = build(config, state)
-        self._strides = strides(self._run)
+    Args:
+        config: The arenas.
+        state: To go on from; None to begin.
+        facts: Of a Gymnasium task.
+        callbacks: Whose `batch` and `advance` are called.
+        workers: Processes among which environments are dealt.
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        state: State | None,
+        facts: EnvFacts | None,
+        callbacks: Sequence[Callback],
+        workers: int = 1,
+    ) -> None:
+        self._run = build(config, state, facts=facts, workers=workers)
+        self._strides = strides(self._run, callbacks)
 
     def begin(self) -> None:
         """Nothing: `finish` does the work."""
@@ -67,21 +89,32 @@ class LocalWorker:
     def snapshot(self) -> Snapshot:
         """The run as it stands."""
         run = self._run
-        champion = run.populations[0].champion if run.populations else None
-        if champion is None or run.network is None:
-            return Snapshot(run.state(), None)
-        return Snapshot(run.state(), run.network.genome(champion))
+        return Snapshot(run.state_dict(), run.champion(0), run.metrics.champions)
 
     def close(self) -> None:
         """Close what training has opened."""
         self._strides.close()
+        self._run.world.close()
+
+
+def _in_process(
+    config: RunConfig, state: State | None, facts: EnvFacts | None, callbacks: Sequence[Callback]
+) -> LocalWorker:
+    torch.set_num_threads(1)
+    return LocalWorker(config, state, facts, callbacks)
 
 
 class ProcessWorker:
-    """Trains in a process of its own."""
+    """Trains in a process of its own; see `LocalWorker`."""
 
-    def __init__(self, config: RunConfig, state: State | None) -> None:
-        self._far = Remote(LocalWorker, config, state)
+    def __init__(
+        self,
+        config: RunConfig,
+        state: State | None,
+        facts: EnvFacts | None,
+        callbacks: Sequence[Callback],
+    ) -> None:
+        self._far = Remote(_in_process, config, state, facts, callbacks)
 
     def begin(self) -> None:
         """Ask for a stride."""
@@ -103,18 +136,33 @@ class ProcessWorker:
 
 @contextmanager
 def open_workers(
-    parts: Sequence[RunConfig], states: Sequence[State | None]
+    parts: Sequence[RunConfig],
+    states: Sequence[State | None],
+    facts: EnvFacts | None,
+    callbacks: Sequence[Callback],
+    workers: int,
 ) -> Iterator[Sequence[Worker]]:
     """A worker for each part of a run: this process if there is one part, else a process each."""
-    kind = LocalWorker if len(parts) == 1 else ProcessWorker
+    own = [one for one in callbacks if _is_called_there(one)]
     with ExitStack() as stack:
-        workers = []
+        opened: list[LocalWorker | ProcessWorker] = []
         for config, state in zip(parts, states, strict=True):
-            workers.append(kind(config, state))
-            stack.callback(workers[-1].close)
-        yield workers
+            if len(parts) == 1:
+                opened.append(LocalWorker(config, state, facts, own, workers))
+            else:
+                opened.append(ProcessWorker(config, state, facts, own))
+            stack.callback(opened[-1].close)
+        yield opened
 
 
-def fitting_workers(arenas: int) -> int:
-    """How many processes make the most of this machine for so many arenas."""
-    return max(1, min(usable_cores(), arenas // ARENAS_PER_WORKER))
+def _is_called_there(callback: Callback) -> bool:
+    """Whether a callback has something to do where arenas are trained."""
+    kind = type(callback)
+    return kind.batch is not Callback.batch or kind.advance is not Callback.advance
+
+
+def fitting_workers(config: RunConfig) -> int:
+    """How many processes make the most of this machine for a run."""
+    if isinstance(config.world, ArenaConfig):
+        return max(1, min(usable_cores(), config.arenas // ARENAS_PER_WORKER))
+    return usable_cores()

@@ -1,0 +1,91 @@
+"""PPO of TorchRL on the arena, as a script to copy: `python examples/ppo.py --help`.
+
+Fifty robots that share one network: what an ordinary trainer makes of the same world, in which
+`neatq train` evolves fifty networks.
+"""
+
+from __future__ import annotations
+
+from statistics import fmean
+from time import perf_counter
+
+import torch
+import tyro
+from tensordict.nn import TensorDictModule
+from tensordict.nn.distributions import NormalParamExtractor
+from torch import nn
+from torchrl.collectors import Collector
+from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+
+from neatq_envs import ArenaEnv, find_scenario
+
+BATCH_TICKS = 100
+EPOCHS, MINIBATCH = 4, 1000
+
+
+def main(*, task: str = "flag", steps: int = 10_000, seed: int = 0) -> float:
+    """Train; returns the mean distance of the team to the flag over the last tenth, in units.
+
+    Args:
+        task: flag, moving, wall, trap, maze, switch or the path of a scenario file.
+        steps: ticks; each is a step of every robot.
+        seed: of the world and of the networks.
+    """
+    torch.manual_seed(seed)
+    env = ArenaEnv(find_scenario(task, changes={"reward": "progress"}), seed=seed)
+    actor, critic = networks(env)
+    # A life is truncated, never terminated: GAE goes on with the value of its last observation.
+    advantage = GAE(gamma=0.97, lmbda=0.95, value_network=critic, average_gae=True)
+    loss = ClipPPOLoss(actor, critic, clip_epsilon=0.2, entropy_coeff=0.001)
+    optimizer = torch.optim.Adam(loss.parameters(), lr=1e-3)
+    robots, batches = env.batch_size.numel(), -(-steps // BATCH_TICKS)
+    frames = robots * BATCH_TICKS
+    collector = Collector(
+        env,
+        actor,
+        frames_per_batch=frames,
+        total_frames=frames * batches,
+        auto_register_policy_transforms=False,
+    )
+
+    start, distances = perf_counter(), list[float]()
+    for number, batch in enumerate(collector, 1):
+        distances.append(batch["next", "distance"].mean().item())
+        for _ in range(EPOCHS):
+            with torch.no_grad():
+                data = advantage(batch).reshape(-1)
+            for rows in torch.randperm(len(data)).split(MINIBATCH):
+                parts = loss(data[rows])
+                total = parts["loss_objective"] + parts["loss_critic"] + parts["loss_entropy"]
+                optimizer.zero_grad()
+                total.backward()
+                nn.utils.clip_grad_norm_(loss.parameters(), 0.5)
+                optimizer.step()
+        if number % 10 == 0:  # a whole life
+            distance, seconds = fmean(distances[-10:]), perf_counter() - start
+            print(f"tick {number * BATCH_TICKS:6d}  mean distance {distance:5.1f}  {seconds:.0f} s")
+    collector.shutdown()
+    return fmean(distances[-max(1, batches // 10) :])
+
+
+def networks(env: ArenaEnv) -> tuple[ProbabilisticActor, ValueOperator]:
+    """Return actor and critic, which all robots share."""
+    low, high = (torch.from_numpy(bound) for bound in env.arena.schema.action_bounds(env.scenario))
+    seen = env.observation_spec["observation"].shape[-1]
+    size = {"in_features": seen, "num_cells": [64, 64], "activation_class": nn.Tanh}
+    policy = nn.Sequential(MLP(out_features=2 * len(low), **size), NormalParamExtractor())
+    actor = ProbabilisticActor(
+        TensorDictModule(policy, ["observation"], ["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        distribution_class=TanhNormal,
+        distribution_kwargs={"low": low, "high": high},
+        return_log_prob=True,
+    )
+    return actor, ValueOperator(MLP(out_features=1, **size), in_keys=["observation"])
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    print(f"mean distance over the last tenth: {tyro.cli(main):.1f}")

@@ -1,0 +1,113 @@
+"""`neatq reproduce` and `neatq compare`: what there is, and how it is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import tyro
+
+from neatq_envs.processes import usable_cores
+from neatq_experiments import (
+    arena,
+    double_pole,
+    gymnasium_tasks,
+    neat_q,
+    published,
+    variants,
+    xor,
+)
+from neatq_experiments.compare.command import CompareCommand, run_comparison
+from neatq_experiments.experiment import Experiment, run_again
+from neatq_torch.kinds import ConfigError
+from neatq_trainers.commands import keeping_what_is_finished, parse
+
+EXPERIMENTS: tuple[Experiment, ...] = (
+    arena.ARENA,
+    xor.XOR,
+    *double_pole.DOUBLE_POLE,
+    *neat_q.NEAT_Q,
+    gymnasium_tasks.GYMNASIUM,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReproduceCommand:
+    """Run a published experiment on all cores, and print it beside the published figures.
+
+    Seeds that are finished are not run again, so an interrupted experiment goes on where it was.
+    """
+
+    name: tyro.conf.Positional[str]
+    """Which experiment; `neatq reproduce list` tells what there is."""
+    quick: bool = False
+    """Run a small part only, with fewer seeds: minutes instead of hours."""
+    seeds: int | None = None
+    """Seeds 0, 1, ... of each arm. Default: as many as the documentation's table has."""
+    arms: tuple[str, ...] | None = None
+    """Which of the experiment's arms. Default: all."""
+    jobs: int | None = None
+    """Processes; the results do not depend on it. Default: one for each core."""
+    out: Path = Path("runs/reproduce")
+    """Where results are kept, in a folder for each experiment."""
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        for name in ("seeds", "jobs"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ConfigError(f"{name}: expected at least 1, got {value}")
+
+
+def reproduce(arguments: list[str]) -> None:
+    """`neatq reproduce`."""
+    command = parse(ReproduceCommand, "reproduce", arguments)
+    with keeping_what_is_finished():
+        run_experiment(command)
+
+
+def compare(arguments: list[str]) -> None:
+    """`neatq compare`; it knows the study's variants, and draws the published curves."""
+    variants.register()
+    command = parse(CompareCommand, "compare", arguments)
+    with keeping_what_is_finished():
+        run_comparison(command, published.curves_behind())
+
+
+def run_experiment(command: ReproduceCommand) -> None:
+    """Do what the command asks for, and print the table.
+
+    Raises:
+        ConfigError: If there is no such experiment or arm.
+    """
+    if command.name == "list":
+        print(experiments_overview(), end="")
+        return
+    experiment = _with_arms(find(command.name), command.arms)
+    planned = experiment.quick_seeds if command.quick else experiment.seeds
+    seeds = planned if command.seeds is None else command.seeds
+    jobs = usable_cores() if command.jobs is None else command.jobs
+    out = command.out / experiment.name
+    print(run_again(experiment, out, seeds=seeds, quick=command.quick, jobs=jobs), end="")
+
+
+def find(name: str) -> Experiment:
+    """The experiment of that name; ConfigError if there is none."""
+    for experiment in EXPERIMENTS:
+        if experiment.name == name:
+            return experiment
+    known = ", ".join(experiment.name for experiment in EXPERIMENTS)
+    raise ConfigError(f"reproduce: expected list or one of {known}; got {name!r}")
+
+
+def _with_arms(experiment: Experiment, arms: tuple[str, ...] | None) -> Experiment:
+    for arm in arms or ():
+        if arm not in experiment.arms:
+            raise ConfigError(f"arms: expected some of {', '.join(experiment.arms)}; got {arm!r}")
+    return experiment if arms is None else replace(experiment, arms=arms)
+
+
+def experiments_overview() -> str:
+    """One line for each experiment."""
+    width = max((len(experiment.name) for experiment in EXPERIMENTS), default=0)
+    return "".join(f"{one.name:{width}}  {one.summary}\n" for one in EXPERIMENTS)

@@ -1,0 +1,207 @@
+"""The study's variants of arms: `neatq` and the paper's arms with one thing changed each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from neatq_experiments.compare.variants import Variant, register_variants
+
+
+class Part(NamedTuple):
+    """One thing in which `neatq` differs from `described`.
+
+    Attributes:
+        summary: What it is.
+        added: Its values in `neatq`.
+        removed: What stands in their place without it.
+    """
+
+    summary: str
+    added: Mapping[str, Any]
+    removed: Mapping[str, Any]
+
+
+PARTS: dict[str, Part] = {
+    "progress": Part(
+        "a reward for coming nearer",
+        {"world.scenario.reward": "progress"},
+        {"world.scenario.reward": "published"},
+    ),
+    "adam": Part(
+        "Adam's steps",
+        {"learner.optimizer": "adam", "learner.learning_rate": 0.03},
+        {"learner.optimizer": "sgd", "learner.learning_rate": 0.9},
+    ),
+    "exploration": Part(
+        "one exploratory tick in a hundred instead of ten",
+        {"learner.epsilon": 0.01},
+        {"learner.epsilon": 0.1},
+    ),
+    "candidates": Part(
+        "5 instead of 10 candidates", {"network.candidates": 5}, {"network.candidates": 10}
+    ),
+    "discount": Part(
+        "a discount of 0.9 instead of 0.8",
+        {"learner.discount": 0.9},
+        {"learner.discount": 0.8},
+    ),
+    "wires": Part(
+        "candidates that move: wire fitting",
+        {"learner.wires": True},
+        {"learner.kind": "td"},
+    ),
+    "replay": Part(
+        "learning from what all robots went through",
+        {
+            "learner.kind": "replay",
+            "learner.updates": 4,
+            "learner.newborn_updates": 0,
+            "learner.horizon": 1,
+        },
+        {"learner.kind": "td", "learner.wires": True},
+    ),
+    "horizon": Part(
+        "rewards over 40 ticks before a value stands for the rest",
+        {"learner.horizon": 40},
+        {"learner.horizon": 1},
+    ),
+    "teaching": Part(
+        "newborns learn before their first tick",
+        {"learner.newborn_updates": 100},
+        {"learner.newborn_updates": 0},
+    ),
+    "sparing": Part(
+        "a replacement every 200 ticks instead of 40: a tenth are newborns, not half",
+        {"population.ineligible_fraction": 0.1},
+        {"population.ineligible_fraction": 0.5},
+    ),
+}
+"""All of them, in the order in which the ladder from `described` to `neatq` adds them."""
+
+
+def _ladder() -> dict[str, Variant]:
+    """From `described` to `neatq`, one part at a time.
+
+    The last two steps are in other places: `neatq` without its last part, and `neatq`.
+    """
+    steps, changes = {}, {}
+    for number, (name, part) in enumerate(list(PARTS.items())[:-2], 1):
+        changes |= part.added
+        summary = f"described, its first {number} steps to neatq; the last: {part.summary}"
+        steps[f"step-{number}-{name}"] = Variant(
+            base="described", summary=summary, changes=dict(changes)
+        )
+    return steps
+
+
+def _without() -> dict[str, Variant]:
+    """`neatq` without one part each."""
+    return {
+        f"neatq-without-{name}": Variant(
+            base="neatq", summary=f"neatq without: {part.summary}", changes=part.removed
+        )
+        for name, part in PARTS.items()
+    }
+
+
+_WORLD = {"world.scenario.sensors": "arena", "world.scenario.reward": "progress"}
+_SPARING = PARTS["sparing"].added
+STUDY_GROUPS: dict[str, dict[str, Variant]] = {
+    "ladder": _ladder(),
+    "without": _without(),
+    "controls": {
+        "rtneat-neatq-senses": Variant(
+            base="rtneat",
+            summary="evolution alone, with neatq's sensors, actions and reward",
+            changes=_WORLD,
+        ),
+        "rtneat-sparing": Variant(
+            base="rtneat", summary="evolution alone, as few newborns as neatq", changes=_SPARING
+        ),
+        "rtneat-both": Variant(
+            base="rtneat",
+            summary="evolution alone, with neatq's senses and as few newborns",
+            changes={**_WORLD, **_SPARING},
+        ),
+        "neatq-published-reward": Variant(
+            base="neatq",
+            summary="neatq with the published reward, which lies in a twentieth of the values",
+            changes={"world.scenario.reward": "published", "network.value_range": (0.95, 1.0)},
+        ),
+        "neatq-published-world": Variant(
+            base="neatq",
+            summary="neatq with the published reward, sensors and actions",
+            changes={
+                "world.scenario.reward": "published",
+                "world.scenario.sensors": "opennero",
+                "network.value_range": (0.95, 1.0),
+            },
+        ),
+        "neatq-frozen": Variant(
+            base="neatq",
+            summary="neatq whose networks choose among candidates but learn nothing",
+            changes={"learner.kind": "none"},
+        ),
+    },
+    "alternatives": {
+        "neatq-farsighted": Variant(
+            base="neatq",
+            summary="neatq with a discount of 0.98: what comes in 50 ticks counts",
+            changes={"learner.discount": 0.98},
+        ),
+        "neatq-lasting-exploration": Variant(
+            base="neatq",
+            summary="neatq with as many exploratory ticks, of which many come in a row",
+            changes={"learner.epsilon": 0.00235, "learner.max_hold_ticks": 40},
+        ),
+        "neatq-target-weights": Variant(
+            base="neatq",
+            summary="neatq with target weights that follow slowly",
+            changes={"learner.target_tau": 0.05},
+        ),
+        "neatq-plastic": Variant(
+            base="neatq",
+            summary="neatq that forgets and learns in tens of ticks, for worlds that change",
+            changes={
+                "learner.discount": 0.8,
+                "learner.epsilon": 0.03,
+                "learner.max_hold_ticks": 40,
+                "learner.learning_rate": 0.05,
+                "learner.updates": 16,
+                "learner.horizon": 5,
+                "learner.keep_every": 1,
+                "learner.capacity": 1000,
+                "batch_ticks": 20,
+            },
+        ),
+        "neatq-darwinian": Variant(
+            base="neatq",
+            summary="neatq whose offspring inherit what their parents were born with",
+            changes={"learner.inheritance": "darwinian"},
+        ),
+        "neatq-novelty": Variant(
+            base="neatq",
+            summary="neatq that selects half by fitness, half by novelty of where a life ends",
+            changes={"population.novelty": 0.5},
+        ),
+        "rtneat-novelty": Variant(
+            base="rtneat",
+            summary="evolution alone, half by fitness, half by novelty of where a life ends",
+            changes={"population.novelty": 0.5},
+        ),
+        "neatq-genes": Variant(
+            base="neatq",
+            summary="neatq whose learning rate, epsilon and discount evolve, scored without "
+            "exploration",
+            changes={"learner.genes": 0.2},
+        ),
+    },
+}
+"""Variants by what they are for."""
+
+
+def register() -> None:
+    """Make the study's variants known to `neatq compare`."""
+    for group, variants in STUDY_GROUPS.items():
+        register_variants(group, variants)

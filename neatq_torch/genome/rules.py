@@ -1,0 +1,201 @@
+"""The words that genes are written in and the rules that every genome keeps.
+
+Each breach is a GenomeError that names the gene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from neatq_torch.genome.graph import find_cycle, node_levels
+
+if TYPE_CHECKING:
+    from neatq_torch.genome.genome import Genome
+
+ACTIVATIONS: tuple[str, ...] = ("identity", "sigmoid", "steep_sigmoid", "tanh", "relu")
+"""Names of the node activations; a gene holds the index.
+
+"sigmoid" has slope 1, as in OpenNERO; "steep_sigmoid" slope 4.9 (Stanley & Miikkulainen 2002).
+"""
+
+NODE_FIELDS = {"node_id": np.int32, "node_kind": np.uint8, "node_activation": np.uint8}
+LINK_FIELDS = {
+    "link_innovation": np.int64,
+    "link_source": np.int32,
+    "link_target": np.int32,
+    "link_weight": np.float32,
+    "link_enabled": np.bool_,
+    "link_recurrent": np.bool_,
+}
+
+
+class NodeKind(IntEnum):
+    """What a node is for."""
+
+    INPUT = 0
+    BIAS = 1
+    OUTPUT = 2
+    HIDDEN = 3
+
+
+class GenomeError(ValueError):
+    """A genome breaks a rule; the message names the gene or the key and how to mend it."""
+
+
+def activation_index(name: str) -> int:
+    """Return the index of an activation in `ACTIVATIONS`; GenomeError if it has none."""
+    if name not in ACTIVATIONS:
+        known = ", ".join(ACTIVATIONS)
+        raise GenomeError(f"activation {name!r} is unknown; choose one of {known}.")
+    return ACTIVATIONS.index(name)
+
+
+def frozen_array(name: str, value: object, dtype: type[np.generic]) -> NDArray[Any]:
+    """Return `value` as a read-only array [entries] of `dtype` that nobody else can write to."""
+    array = np.asarray(value)
+    if array.ndim != 1:
+        raise GenomeError(f"{name} must be a 1-D array, not one of shape {array.shape}.")
+    if array.dtype == dtype and array.flags.owndata and not array.flags.writeable:
+        return array
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            converted = array.astype(dtype)
+    except (TypeError, ValueError) as error:
+        raise GenomeError(f"{name} cannot be read as {dtype.__name__}: {error}.") from error
+    # Weights may be rounded to float32; ids and flags must arrive as they were.
+    if array.dtype != dtype and dtype is not np.float32 and array.size:
+        wrong = f"which is no {dtype.__name__}."
+        _refuse(converted != array, lambda at: f"{name}[{at}] is {array[at]}, {wrong}")
+    converted.flags.writeable = False
+    return converted
+
+
+def _refuse(wrong: NDArray[np.bool_], say: Callable[[int], str]) -> None:
+    """Raise a GenomeError if an entry is wrong; `say` tells what about the first one's index."""
+    if wrong.any():
+        raise GenomeError(say(int(wrong.argmax())))
+
+
+def check_genome(genome: Genome) -> None:
+    """Raise a GenomeError if the genome breaks a rule."""
+    for fields in (NODE_FIELDS, LINK_FIELDS):
+        lengths = {name: getattr(genome, name).size for name in fields}
+        if len(set(lengths.values())) > 1:
+            raise GenomeError(f"arrays must have one entry for each gene, not {lengths}.")
+    _check_nodes(genome)
+    check_weights(genome.link_innovation, genome.link_weight)
+    if genome.link_innovation.size:
+        check_innovations(genome.link_innovation)
+        _check_ends(genome)
+        _check_links_once(genome)
+        _check_acyclic(genome)
+
+
+def _check_nodes(genome: Genome) -> None:
+    ids, kinds, activations = genome.node_id, genome.node_kind, genome.node_activation
+    ordered = ids[genome.node_order]
+    _refuse(
+        ordered[1:] == ordered[:-1],
+        lambda at: f"node id {ordered[at]} occurs more than once; node ids must be unique.",
+    )
+    _refuse(
+        kinds >= len(NodeKind),
+        lambda at: f"node {ids[at]}: kind {kinds[at]} is none of {list(NodeKind)}.",
+    )
+    for kind in (NodeKind.INPUT, NodeKind.OUTPUT):
+        if kind not in kinds:
+            missing = kind.name.lower()
+            raise GenomeError(f"the genome has no {missing} node; it needs at least one.")
+    biases = ids[kinds == NodeKind.BIAS].tolist()
+    if len(biases) > 1:
+        raise GenomeError(f"nodes {biases} are all of kind bias; a genome has at most one.")
+    _refuse(
+        activations >= len(ACTIVATIONS),
+        lambda at: f"node {ids[at]}: activation {activations[at]} is no index into {ACTIVATIONS}.",
+    )
+
+
+def check_weights(innovation: NDArray[np.int64], weight: NDArray[np.float32]) -> None:
+    """Raise a GenomeError naming the first link whose weight is not finite."""
+    if not _all_finite(weight):
+        rule = "is not finite; weights are finite float32 numbers."
+        _refuse(
+            ~np.isfinite(weight),
+            lambda at: f"link with innovation {innovation[at]}: weight {weight[at]} {rule}",
+        )
+
+
+@njit(cache=True)
+def _all_finite(weight: NDArray[np.float32]) -> bool:
+    # Runs for every genome whenever robots write back what they learned: np.isfinite(...).all()
+    # takes seven times as long.
+    finite = True
+    for one in weight:
+        finite &= np.isfinite(one)
+    return finite
+
+
+def check_innovations(innovation: NDArray[np.int64]) -> None:
+    """Raise a GenomeError naming the first link whose innovation does not rise."""
+
+    def say(at: int) -> str:
+        before, after = innovation[at], innovation[at + 1]
+        if before == after:
+            return f"link with innovation {before} occurs more than once."
+        rule = "links must be sorted by innovation."
+        return f"link with innovation {after} follows the one with {before}; {rule}"
+
+    _refuse(innovation[1:] <= innovation[:-1], say)
+
+
+def _check_ends(genome: Genome) -> None:
+    numbers = genome.link_innovation
+    for end, ids in (("source", genome.link_source), ("target", genome.link_target)):
+        _refuse(
+            genome.node_id[genome.node_index(ids)] != ids,
+            lambda at, end=end, ids=ids: (
+                f"link with innovation {numbers[at]}: {end} {ids[at]} is not a node of the genome; "
+                "add the node or remove the link."
+            ),
+        )
+    _refuse(
+        genome.node_kind[genome.target_index] <= NodeKind.BIAS,
+        lambda at: (
+            f"link with innovation {numbers[at]}: target {genome.link_target[at]} is an input or "
+            "bias node; links enter outputs and hidden nodes only."
+        ),
+    )
+
+
+def _check_links_once(genome: Genome) -> None:
+    nodes = genome.node_id.size
+    key = (genome.source_index * nodes + genome.target_index) * 2 + genome.link_recurrent
+    ordered = np.sort(key)
+
+    def say(at: int) -> str:
+        same = np.flatnonzero(key == ordered[at])
+        ends = f"from {genome.link_source[same[0]]} to {genome.link_target[same[0]]}"
+        recurrent = bool(genome.link_recurrent[same[0]])
+        return (
+            f"links with innovations {genome.link_innovation[same].tolist()} all lead {ends} with "
+            f"recurrent={recurrent}; keep one of them."
+        )
+
+    _refuse(ordered[1:] == ordered[:-1], say)
+
+
+def _check_acyclic(genome: Genome) -> None:
+    forward = ~genome.link_recurrent
+    sources, targets = genome.source_index[forward], genome.target_index[forward]
+    if node_levels(sources, targets, genome.node_id.size) is None:
+        nodes = genome.node_id[find_cycle(sources, targets)].tolist()
+        raise GenomeError(
+            f"forward links form the cycle {' -> '.join(map(str, nodes))} over nodes {nodes[:-1]}; "
+            "one of these links must be marked recurrent."
+        )

@@ -1,0 +1,241 @@
+"""Runs are those of the release before, bit for bit.
+
+Results may move only on purpose. Then make the digests again, which this prints (with names behind
+it: of these runs), and say under *Changes results* in CHANGELOG.md what moved:
+
+    python tests/trainers/test_golden.py
+
+The longer runs take minutes and are tested only when they are asked for:
+
+    NEATQ_GOLDEN=full python -m pytest tests/trainers/test_golden.py
+
+Bits may depend on the processor and on the versions of torch and numpy. On a machine where these
+tests never passed, make the digests with the commit before yours, and compare with those.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from neatq_trainers.arms import preset
+from neatq_trainers.config import RunConfig
+from neatq_trainers.folder import CHAMPION, METRICS
+from neatq_trainers.train import start
+
+pytestmark = pytest.mark.usefixtures("without_pictures")
+Settings = dict[str, Any]
+
+ARENA_ARMS = ("rtneat", "committed", "described", "neatq", "qlearning")
+CARS = ("CartPole-v1", "MountainCarContinuous-v0")
+
+
+def arena(task: str, arm: str, ticks: int, changes: Settings | None = None) -> RunConfig:
+    """Two arenas of a built-in task."""
+    config = preset(task, arm, length={"ticks": ticks})
+    return config.changed({"arenas": 2, **(changes or {})})
+
+
+def switched(arm: str, changes: Settings) -> RunConfig:
+    """A short run with other settings than the arm's, in which many are born."""
+    life = {"population.minimum_life_ticks": 100, "population.ineligible_fraction": 0.5}
+    size = {"world.scenario.robots": 9, "world.scenario.lifetime_ticks": 100}
+    return arena("wall", arm, 600, size | life | changes)
+
+
+def gym(task: str, arm: str, changes: Settings | None = None, *, generations: int = 3) -> RunConfig:
+    """A few generations on a Gymnasium task; 8 genomes with lives of 2 episodes."""
+    size = {"world.slots": 8, "population.episodes": 2, "arenas": 2}
+    evaluation = {
+        "world.every": 2,
+        "world.evaluated": 2,
+        "world.episodes": 3,
+        "world.test_episodes": 2,
+    }
+    config = preset(f"gym:{task}", arm, length={"generations": generations})
+    return config.changed(size | evaluation | (changes or {}))
+
+
+def size(slots: int, episodes: int) -> Settings:
+    """Of a population on a Gymnasium task."""
+    return {"world.slots": slots, "population.episodes": episodes}
+
+
+WIRES_AT_EVERY_STEP = {
+    "learner.kind": "td",
+    "learner.wires": True,
+    "learner.trace_decay": 0.0,
+    "learner.normalize_return": False,
+    "batch_ticks": 1,
+}
+PLASTIC = {
+    "learner.discount": 0.8,
+    "learner.epsilon": 0.03,
+    "learner.max_hold_ticks": 40,
+    "learner.learning_rate": 0.05,
+    "learner.updates": 16,
+    "learner.horizon": 5,
+    "learner.keep_every": 1,
+    "learner.capacity": 1000,
+    "batch_ticks": 20,
+}
+
+SHORT: dict[str, RunConfig] = {
+    **{
+        f"{task} {arm}": arena(task, arm, 1500)
+        for task in ("flag", "wall")
+        for arm in ARENA_ARMS
+        if (task, arm) != ("wall", "committed")
+    },
+    # Earlier it is rtneat with more outputs: recurrent links and with them state come late.
+    "wall committed": arena("wall", "committed", 4000),
+    "novelty": switched("rtneat", {"population.novelty": 0.5}),
+    "genes": switched("neatq", {"learner.genes": 0.3, "learner.epsilon": 0.05}),
+    "genes, own ticks": switched("described", {"learner.genes": 0.3}),
+    "darwinian": switched("neatq", {"learner.inheritance": "darwinian"}),
+    "holding": switched("neatq", {"learner.max_hold_ticks": 20, "learner.epsilon": 0.05}),
+    "target weights": switched("described", {"learner.target_tau": 0.1}),
+    "target weights, replay": switched("neatq", {"learner.target_tau": 0.1}),
+    "long returns": switched("described", {"learner.trace_decay": 0.7}),
+    "wires, own ticks": switched("neatq", {"learner.kind": "td", "learner.wires": True}),
+    "range of values": switched("neatq", {"network.value_range": (0.2, 0.9)}),
+    "neatq-plastic": switched("neatq", PLASTIC),
+    "CartPole-v1 neat": gym("CartPole-v1", "neat", size(20, 2)),
+    "CartPole-v1 neat+q": gym("CartPole-v1", "neat+q", size(12, 3)),
+    "MountainCarContinuous-v0 neat": gym("MountainCarContinuous-v0", "neat", size(10, 1)),
+    "MountainCarContinuous-v0 neat+q": gym(
+        "MountainCarContinuous-v0", "neat+q", size(5, 1), generations=2
+    ),
+    "qnetwork": gym("CartPole-v1", "qnetwork", {**size(2, 5), "world.evaluated": 2}),
+    "neat+q by wires": gym("Pendulum-v1", "neat+q", {**size(5, 1), **WIRES_AT_EVERY_STEP}),
+    "neat+q, lamarckian": gym("CartPole-v1", "neat+q", {"learner.inheritance": "lamarckian"}),
+    "neat+q, holding": gym(
+        "CartPole-v1", "neat+q", {"learner.max_hold_ticks": 5, "learner.epsilon": 0.2}
+    ),
+    "neat+q, range of values": gym("CartPole-v1", "neat+q", {"network.value_range": (-5.0, 20.0)}),
+    "neat, layered": gym(
+        "CartPole-v1", "neat", {"population.start": "layered", "population.start_hidden": 3}
+    ),
+    "neat, synchronous": gym(
+        "CartPole-v1", "neat", {"network.evaluation": "synchronous", "network.activation": "tanh"}
+    ),
+}
+LONG: dict[str, RunConfig] = {
+    **{
+        f"{task} {arm}, long": arena(task, arm, 4000)
+        for task in ("flag", "wall")
+        for arm in ARENA_ARMS
+        if (task, arm) != ("wall", "committed")
+    },
+    **{
+        f"{task} {arm}, long": preset(f"gym:{task}", arm, length={"generations": 10})
+        for task in CARS
+        for arm in ("neat", "neat+q")
+    },
+}
+
+DIGESTS: dict[str, tuple[str, ...]] = {
+    "flag rtneat": ("542923ced7666cb6", "7ab637adee13c724"),
+    "flag committed": ("8c14686591544856", "6b795f76c9a1333f"),
+    "flag described": ("ed073992bec60e54", "3463de55512f9fd5"),
+    "flag neatq": ("49d3967c154559b2", "f7758807132c289a"),
+    "flag qlearning": ("351ffb08e73211b7",),
+    "wall rtneat": ("bed26b15d55de544", "88c4b6d1fb3ab8d5"),
+    "wall described": ("01395c930d0aba70", "f61b685a27285767"),
+    "wall neatq": ("2abab78f7fab946a", "feef56b957296cf8"),
+    "wall qlearning": ("eb145c99b750b2aa",),
+    "wall committed": ("ff7848f356c633ee", "3039a031467bb330"),
+    "novelty": ("67f227566af9e2d7", "8d351ff776b8c852"),
+    "genes": ("9b6c1e5940391774", "3ba6128edcbd4e7d"),
+    "genes, own ticks": ("ca1a3472c3e18946", "29da0cb2b43c538a"),
+    "darwinian": ("31dcc3fbc0a3072b", "3c3812e201695bce"),
+    "holding": ("c8db86a98f9a9f58", "87d91ee0ab4ba02e"),
+    "target weights": ("2871fdb9bd2b6cae", "1f0d293d1b4bfaf1"),
+    "target weights, replay": ("12d1814fabca80a9", "816455693c54e20b"),
+    "long returns": ("3674388725c05d81", "58d98a16b060e9f6"),
+    "wires, own ticks": ("22efbd10ed3fe769", "f23a9264c474ae7b"),
+    "range of values": ("c21390bb95931ab2", "7ddd9f6380c719e5"),
+    "neatq-plastic": ("c68732d8440d9667", "8dec1f8b0f01ebc2"),
+    "CartPole-v1 neat": ("54b6dba189361b5b", "28e3a8b055e255b8"),
+    "CartPole-v1 neat+q": ("0e2ae181edd3240b", "c1d5d0444ebc8aa6"),
+    "MountainCarContinuous-v0 neat": ("a79da92e6be6266c", "806db8b14bdf3650"),
+    "MountainCarContinuous-v0 neat+q": ("d08d6a6effa0b885", "1e60145da323b861"),
+    "qnetwork": ("024d619f37cd6247", "a1b94b50f34e9b05"),
+    "neat+q by wires": ("4d9c267dd133ab19", "93dc05cdf63dda59"),
+    "neat+q, lamarckian": ("ca5db6544350892a", "fb814a433a43dce9"),
+    "neat+q, holding": ("ebb0e8fd8afb42d3", "03083f771d1cd8fe"),
+    "neat+q, range of values": ("31fa9037990b1334", "6e0860e82b83a690"),
+    "neat, layered": ("91ac1e712b1dbb74", "54a41e0587f8cfcb"),
+    "neat, synchronous": ("00531c482bd8bc5f", "6b560e63b1378e4d"),
+    "flag rtneat, long": ("3e9c74a14f9b226c", "dbed7dfc3d8d181f"),
+    "flag committed, long": ("dea2b2cf8077a07e", "c0f0f6c9af0bab85"),
+    "flag described, long": ("6e0ad9cf270590bf", "bff49518054c9620"),
+    "flag neatq, long": ("435dec09b6458a85", "9c901ef5b685e33d"),
+    "flag qlearning, long": ("5b76c4a638bf7281",),
+    "wall rtneat, long": ("7e0a4b2f97b13d1a", "88c4b6d1fb3ab8d5"),
+    "wall described, long": ("48b66cf8d34a120e", "c20bae2006eb2cbd"),
+    "wall neatq, long": ("400e3195be5156f7", "ef12efe9d05c1f84"),
+    "wall qlearning, long": ("c572906712931a09",),
+    "CartPole-v1 neat, long": ("d8a57c42c47e2fd5", "af5cf6aa5c6fb9ae"),
+    "CartPole-v1 neat+q, long": ("1dcc41e0be3b72d7", "52ff868b074fd9ce"),
+    "MountainCarContinuous-v0 neat, long": ("04aa0c432d188024", "90dae3296933f051"),
+    "MountainCarContinuous-v0 neat+q, long": ("a8e1aecb23c3444a", "c1d2cdd291ca1361"),
+}
+"""The first 16 digits of the SHA-256 of metrics.csv and, where there is one, of champion.json."""
+
+
+def digests(folder: Path) -> tuple[str, ...]:
+    """Of the results of a run."""
+    files = [folder / name for name in (METRICS, CHAMPION) if (folder / name).is_file()]
+    return tuple(hashlib.sha256(file.read_bytes()).hexdigest()[:16] for file in files)
+
+
+def as_before(name: str, config: RunConfig, folder: Path) -> None:
+    """Compare a run with that of the release before."""
+    now = digests(start(config, folder / "run").path)
+    assert now == DIGESTS[name], (
+        f"{name}: not the run of the release before. Either a change moves results, or this "
+        "processor or its libraries round otherwise (then other runs differ, too): the top of "
+        f"{Path(__file__).name} says how to tell, and how to make the digests again"
+    )
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_a_run_is_that_of_the_release_before(name: str, tmp_path: Path) -> None:
+    as_before(name, SHORT[name], tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    os.environ.get("NEATQ_GOLDEN") != "full", reason="takes minutes; NEATQ_GOLDEN=full runs it"
+)
+@pytest.mark.parametrize("name", LONG)
+def test_a_long_run_is_that_of_the_release_before(name: str, tmp_path: Path) -> None:
+    as_before(name, LONG[name], tmp_path)
+
+
+def test_every_golden_run_has_its_digests() -> None:
+    assert list(DIGESTS) == [*SHORT, *LONG]
+
+
+def show(names: list[str]) -> None:
+    """Print the digests of runs, as they stand in this file."""
+    runs = SHORT | LONG
+    for name in names or runs:
+        with tempfile.TemporaryDirectory() as folder:
+            found = digests(start(runs[name], Path(folder) / "run").path)
+        written = ", ".join(f'"{one}"' for one in found) + ("," if len(found) == 1 else "")
+        print(f'    "{name}": ({written}),', flush=True)
+
+
+if __name__ == "__main__":
+    import torch
+
+    torch.set_num_threads(1)
+    show(sys.argv[1:])

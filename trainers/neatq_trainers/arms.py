@@ -1,0 +1,288 @@
+"""Arms: named presets of population, learner and network, for every world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+from neatq_envs.gymnasium_task import PREFIX
+from neatq_envs.scenario import TASKS, Scenario, find_scenario
+from neatq_torch.evolution import FixedConfig, NEATConfig, RtNEATConfig, population_kinds
+from neatq_torch.kinds import ConfigError
+from neatq_torch.learning import (
+    NoLearningConfig,
+    ReplayConfig,
+    TableConfig,
+    TDConfig,
+    TraceConfig,
+    learner_kinds,
+)
+from neatq_trainers.config import NetworkConfig, RunConfig
+from neatq_trainers.worlds import (
+    ArenaConfig,
+    EnvConfig,
+    GymnasiumConfig,
+    WorldConfig,
+    env_kinds,
+    find_env,
+)
+
+TASK_TICKS = {
+    "flag": 40_000,
+    "moving": 60_000,
+    "wall": 70_000,
+    "trap": 70_000,
+    "maze": 70_000,
+    "switch": 70_000,
+}
+"""Length of the published runs (one tick of their figures is 100 ticks); of our own tasks, the
+longest of them."""
+OWN_TICKS, GENERATIONS = 70_000, 50
+"""Length on other worlds of robots, and on Gymnasium tasks."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arm:
+    """A preset.
+
+    Attributes:
+        summary: One line on what it is.
+        population: Who lives and who breeds; None without evolution.
+        learner: What is learnt.
+        network: How networks are made.
+        senses: Sensors and reward law in the arena.
+        batch_ticks: Ticks between two updates; None: as population and learner ask for.
+        episodic: What differs where lives are episodes (Gymnasium tasks and own environments), by
+            dotted path in `RunConfig.to_dict`.
+        slots: Genomes on Gymnasium tasks.
+        arena_only: Why it runs nowhere else, and what does.
+    """
+
+    summary: str
+    population: Any
+    learner: Any
+    network: NetworkConfig
+    senses: Mapping[str, str] = field(default_factory=lambda: {"sensors": "arena"})
+    batch_ticks: int | None = None
+    episodic: Mapping[str, Any] = field(default_factory=dict)
+    slots: int = 150
+    arena_only: str | None = None
+
+
+_PUBLISHED = {"sensors": "opennero", "reward": "published"}
+_PROGRESS = {"sensors": "arena", "reward": "progress"}
+_EPISODES = {"population.minimum_life_episodes": 2}
+
+ARMS: dict[str, Arm] = {
+    "rtneat": Arm(
+        summary="evolution alone, one genome at a time (Stanley, Bryant & Miikkulainen 2005)",
+        population=RtNEATConfig(),
+        learner=NoLearningConfig(),
+        network=NetworkConfig(candidates=1, evaluation="synchronous"),
+        senses=_PUBLISHED,
+        episodic={"network.evaluation": "settle", **_EPISODES},
+    ),
+    "neat": Arm(
+        summary="evolution alone, by generations (Stanley & Miikkulainen 2002)",
+        population=NEATConfig(episodes=2),
+        learner=NoLearningConfig(),
+        network=NetworkConfig(candidates=1),
+        senses=_PUBLISHED,
+    ),
+    "committed": Arm(
+        summary="what the published code did: candidates, always the best one, nothing is learnt",
+        population=RtNEATConfig(),
+        learner=NoLearningConfig(),
+        network=NetworkConfig(evaluation="synchronous", double_activation=True),
+        senses=_PUBLISHED,
+        episodic=_EPISODES,
+    ),
+    "described": Arm(
+        summary="what the paper says: epsilon-greedy, TD on the chosen value alone, Lamarckian",
+        population=RtNEATConfig(),
+        # 0.9 is the only learning rate in OpenNERO's history.
+        learner=TDConfig(learning_rate=0.9, discount=0.8),
+        network=NetworkConfig(),
+        senses={"sensors": "arena", "reward": "published"},
+        episodic={"learner.discount": 0.99, "learner.normalize_return": False, **_EPISODES},
+    ),
+    "neatq": Arm(
+        summary="rtNEAT, and every network learns from what all went through (shared replay)",
+        population=RtNEATConfig(ineligible_fraction=0.1),
+        learner=ReplayConfig(
+            learning_rate=0.03,
+            optimizer="adam",
+            discount=0.9,
+            epsilon=0.01,
+            updates=4,
+            newborn_updates=100,
+            horizon=40,
+        ),
+        network=NetworkConfig(candidates=5),
+        senses=_PROGRESS,
+        episodic={
+            "learner.discount": 0.98,
+            "learner.normalize_return": False,
+            "learner.horizon": 10,
+            **_EPISODES,
+        },
+        slots=50,
+    ),
+    "neat+q": Arm(
+        summary="NEAT+Q (Whiteson & Stone 2006): generations whose networks learn by Q(lambda)",
+        population=NEATConfig(episodes=10),
+        learner=TraceConfig(discount=0.99, epsilon=0.05, inheritance="darwinian"),
+        network=NetworkConfig(candidates=5),
+        senses=_PROGRESS,
+        episodic={"learner.anneal": True},
+    ),
+    "qnetwork": Arm(
+        summary="Q(lambda) in networks of fixed topology that do not evolve",
+        population=FixedConfig(episodes=50),
+        learner=TraceConfig(discount=0.99, epsilon=0.05, inheritance="lamarckian"),
+        network=NetworkConfig(candidates=5),
+        senses=_PROGRESS,
+        episodic={"world.evaluated": 1},
+        slots=1,
+    ),
+    "qlearning": Arm(
+        summary="the paper's table of Q-values for each robot, without evolution",
+        population=None,
+        learner=TableConfig(learning_rate=0.8, discount=0.8, epsilon=0.1),
+        network=NetworkConfig(candidates=1),
+        senses=_PUBLISHED,
+        batch_ticks=1,
+        arena_only="its table rounds observations within [0, 1], as the arena has them, to five "
+        "values each; qnetwork learns without evolution on every world",
+    ),
+}
+
+
+def preset(
+    task: str,
+    arm: str,
+    *,
+    env_kwargs: Mapping[str, Any] | None = None,
+    population: str | None = None,
+    learner: str | None = None,
+    length: Mapping[str, int | None] | None = None,
+) -> RunConfig:
+    """The configuration of an arm on a task.
+
+    Args:
+        task: A built-in task, the path of a scenario file, gym:ID or the name of a registered
+            world. What a file says about sensors and reward is kept; what it leaves out is the
+            arm's.
+        arm: One of `ARMS`.
+        env_kwargs: Keys of the scenario, or arguments of the environment, with other values.
+        population: Another kind of population than the arm's, with its own defaults.
+        learner: Another kind of learner.
+        length: `ticks`, `steps` or `generations`; those that are None are left out.
+
+    Raises:
+        ConfigError: If there is no such arm, task, population or learner, or they do not go
+            together.
+        ScenarioError: If the file or a key cannot be used.
+
+    Example:
+        >>> config = preset("wall", "neatq", length={"ticks": 10_000})
+        >>> config = config.changed({"learner.epsilon": 0.05})
+    """
+    if arm not in ARMS:
+        raise ConfigError(f"arm: expected one of {', '.join(ARMS)}; got {arm!r}")
+    chosen = ARMS[arm]
+    world = _world(task, chosen, env_kwargs or {})
+    if chosen.arena_only and not isinstance(world, ArenaConfig):
+        raise ConfigError(f"arm: {arm} does not run on {task}: {chosen.arena_only}")
+    config = RunConfig(
+        task=task,
+        arm=arm,
+        world=world,
+        network=chosen.network,
+        population=_population(chosen, world),
+        learner=chosen.learner,
+        batch_ticks=chosen.batch_ticks,
+        **_length(task, world, length or {}),
+    )
+    if not isinstance(world, ArenaConfig):
+        known = config.to_dict()
+        fitting = {path: one for path, one in chosen.episodic.items() if _has(known, path)}
+        if isinstance(world, EnvConfig):  # which tells nobody the number of an episode
+            fitting.pop("learner.anneal", None)
+        config = config.changed(fitting)
+    return _with_kinds(config, population, learner)
+
+
+def _with_kinds(config: RunConfig, population: str | None, learner: str | None) -> RunConfig:
+    """Other kinds than the arm's, with their own defaults, as far as these suit the world."""
+    parts: dict[str, Any] = {}
+    if population is not None:
+        parts["population"] = population_kinds.config(population)()
+        if isinstance(config.world, ArenaConfig):
+            life = config.world.scenario.lifetime_ticks or 1000
+            parts["population"] = _having(parts["population"], minimum_life_ticks=life)
+        else:
+            parts["population"] = _having(parts["population"], minimum_life_episodes=2)
+    if learner is not None:
+        parts["learner"] = learner_kinds.config(learner)()
+        if not isinstance(config.world, ArenaConfig):
+            parts["learner"] = _having(parts["learner"], normalize_return=False, discount=0.99)
+    return replace(config, **parts)
+
+
+def _having(part: Any, **values: Any) -> Any:
+    """A configuration with those of the values for which it has a field."""
+    known = {one.name for one in fields(part)}
+    return replace(part, **{name: value for name, value in values.items() if name in known})
+
+
+def _has(values: Mapping[str, Any], path: str) -> bool:
+    part, name = path.split(".")
+    return name in (values[part] or {})
+
+
+def _population(arm: Arm, world: WorldConfig) -> Any:
+    """That of the arm; in the arena a life is a robot's, and generations have one."""
+    if not isinstance(world, ArenaConfig):
+        return arm.population
+    if isinstance(arm.population, RtNEATConfig):
+        life = world.scenario.lifetime_ticks or 1000
+        return replace(arm.population, minimum_life_ticks=life)
+    return arm.population and replace(arm.population, episodes=1)
+
+
+def _length(task: str, world: WorldConfig, given: Mapping[str, int | None]) -> dict[str, Any]:
+    lengths: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    if lengths:
+        return lengths
+    if "ticks" in world.lengths:
+        return {"ticks": TASK_TICKS.get(task, OWN_TICKS)}
+    return {"generations": GENERATIONS}
+
+
+def _world(task: str, arm: Arm, kwargs: Mapping[str, Any]) -> WorldConfig:
+    if task.startswith(PREFIX):
+        return GymnasiumConfig(id=task.removeprefix(PREFIX), kwargs=dict(kwargs), slots=arm.slots)
+    if task in TASKS or Path(task).suffix == ".json":
+        return ArenaConfig(scenario=_scenario(task, arm, kwargs))
+    if find_env(task):
+        return EnvConfig(name=task, kwargs=dict(kwargs))
+    if Path(task).exists():
+        return ArenaConfig(scenario=_scenario(task, arm, kwargs))
+    known = ", ".join((*TASKS, *env_kinds))
+    raise ConfigError(
+        f"task: expected {known}, gym:ID for a Gymnasium environment, or the path of a scenario "
+        f"file (.json); got {task!r}"
+    )
+
+
+def _scenario(task: str, arm: Arm, changes: Mapping[str, Any]) -> Scenario:
+    return find_scenario(task, defaults=arm.senses, changes=changes)
+
+
+def overview() -> str:
+    """The arms, a line each."""
+    width = max(map(len, ARMS))
+    return "".join(f"  {name:{width}}  {arm.summary}\n" for name, arm in ARMS.items())

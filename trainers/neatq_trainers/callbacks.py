@@ -1,0 +1,154 @@
+"""Callbacks: what happens around training, built in or a user's own."""
+
+from __future__ import annotations
+
+import multiprocessing
+import sys
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from tensordict import TensorDictBase
+from torch import Tensor
+from tqdm import tqdm
+
+from neatq_trainers.metrics import DistanceRow, Row
+from neatq_trainers.run import Run
+
+if TYPE_CHECKING:
+    from neatq_trainers.train import Session
+
+
+class Callback:
+    """What is called while a run trains; override what you need.
+
+    `batch` and `advance` are called where an arena is trained: with several processes in each of
+    them, on a copy of the callback. All else is called in the process that began the training.
+
+    Example:
+        >>> class StopWhenSolved(Callback):
+        ...     def rows(self, session, rows):
+        ...         session.stop |= any(row.champion_return >= 475 for row in rows)
+        >>> train("gym:CartPole-v1", arm="neat", callbacks=[StopWhenSolved()])
+    """
+
+    def start(self, session: Session) -> None:
+        """Training begins or goes on."""
+
+    def batch(self, run: Run, batch: TensorDictBase, error: Tensor) -> None:
+        """A batch [arenas, slots, ticks] was learnt from, and evolution was told of it."""
+
+    def advance(self, run: Run, newborn: Tensor) -> None:
+        """New genomes stand in the slots of a mask [arenas, slots]."""
+
+    def rows(self, session: Session, rows: Sequence[Row]) -> None:
+        """The run can stop here; `rows` are the new rows of metrics, often none."""
+
+    def checkpoint(self, session: Session) -> None:
+        """A checkpoint was written."""
+
+    def end(self, session: Session) -> None:
+        """The run has its whole length, and its folder all files."""
+
+
+class MetricsFile(Callback):
+    """Writes `metrics.csv`."""
+
+    def rows(self, session: Session, rows: Sequence[Row]) -> None:
+        """Add the rows."""
+        session.folder.add_rows(rows)
+
+
+class TorchRLLogger(Callback):
+    """Logs the means over arenas of every metric, under `train/`, by a logger of TorchRL."""
+
+    def start(self, session: Session) -> None:
+        """Open the logger that the configuration asks for; it writes to the folder `logs`."""
+        logs = str(session.folder.path / "logs")
+        self._logger: Any = None
+        if session.config.logger == "csv":
+            from torchrl.record.loggers.csv import CSVLogger
+
+            self._logger = CSVLogger("csv", log_dir=logs, video_format="pt")
+        elif session.config.logger == "tensorboard":
+            from torchrl.record.loggers.tensorboard import TensorboardLogger
+
+            self._logger = TensorboardLogger("tensorboard", log_dir=logs)
+
+    def rows(self, session: Session, rows: Sequence[Row]) -> None:
+        """Log the rows, by tick or by episodes."""
+        if self._logger is None or not rows:
+            return
+        step = "tick" if isinstance(rows[0], DistanceRow) else "episodes"
+        for moment in sorted({getattr(row, step) for row in rows}):
+            now = [row for row in rows if getattr(row, step) == moment]
+            for name in now[0]._fields:
+                known = [value for row in now if (value := getattr(row, name)) is not None]
+                if name not in ("arena", step) and known:
+                    mean = sum(known) / len(known)
+                    self._logger.log_scalar(f"train/{name}", mean, step=moment)
+
+
+class ProgressBar(Callback):
+    """A live line on a terminal: what is done, rate, remaining time, a few words."""
+
+    def start(self, session: Session) -> None:
+        """Show where the run stands."""
+        unit, total = session.config.length
+        self._bar = tqdm(
+            total=total,
+            initial=session.done,
+            unit=f" {unit}",
+            mininterval=0.5,
+            dynamic_ncols=True,
+            disable=not sys.stderr.isatty() or multiprocessing.parent_process() is not None,
+        )
+
+    def rows(self, session: Session, rows: Sequence[Row]) -> None:
+        """Move on."""
+        if rows:
+            self._bar.set_postfix_str(words(rows), refresh=False)
+        self._bar.update(session.done - self._bar.n)
+        if session.done >= self._bar.total:
+            self._bar.close()
+
+
+def words(rows: Sequence[Row]) -> str:
+    """How the arenas are doing by their last rows: means over them."""
+    latest = list({row.arena: row for row in rows}.values())
+    if isinstance(latest[0], DistanceRow):
+        mean = _mean(latest, "mean_distance")
+        nearest = min(row.min_distance for row in latest if isinstance(row, DistanceRow))
+        return f"distance mean {mean:.0f}, least {nearest:.0f}"
+    best, champion = (_mean(latest, name) for name in ("best_fitness", "champion_return"))
+    return f"best {best:.1f}, champion {champion:.1f}"
+
+
+def _mean(rows: Sequence[Row], name: str) -> float:
+    return sum(getattr(row, name) for row in rows) / len(rows)
+
+
+class Checkpoints(Callback):
+    """Asks for a checkpoint every `checkpoint_seconds`."""
+
+    def start(self, session: Session) -> None:
+        """Wait from now on."""
+        self.checkpoint(session)
+
+    def rows(self, session: Session, rows: Sequence[Row]) -> None:
+        """Ask for a checkpoint when it is time."""
+        session.wants_checkpoint |= time.monotonic() >= self._due
+
+    def checkpoint(self, session: Session) -> None:
+        """Wait for the next."""
+        self._due = time.monotonic() + session.config.checkpoint_seconds
+
+
+class Report(Callback):
+    """Draws the pictures of a run at its end."""
+
+    def end(self, session: Session) -> None:
+        """Write the pictures into the folder."""
+        from neatq_trainers.report import write_report
+
+        session.folder.notes += write_report(session.folder)

@@ -1,0 +1,172 @@
+"""What the commands of `neatq` do; see `cli`."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import torch
+import tyro
+
+from neatq_envs.episodes import EpisodeError
+from neatq_envs.gymnasium_task import TaskError, assignments
+from neatq_envs.scenario import TASKS, ScenarioError
+from neatq_torch.checkpoint import CheckpointError
+from neatq_torch.evolution import population_kinds
+from neatq_torch.genome import GenomeError
+from neatq_torch.kinds import ConfigError
+from neatq_torch.learning import learner_kinds
+from neatq_trainers import arms
+from neatq_trainers import train as trainer
+from neatq_trainers.effects import refuse_without_effect
+from neatq_trainers.folder import CHECKPOINT, FILES, RunFolder
+from neatq_trainers.options import chosen_names, options_of, refuse_strangers, with_options
+from neatq_trainers.worlds import env_kinds
+
+Command = TypeVar("Command")
+
+
+def run_command(command: Callable[[list[str]], None], arguments: list[str]) -> int:
+    """Run a command; returns the exit status of the process."""
+    torch.set_num_threads(1)  # small tensors: a second thread only gets in the way
+    gc.freeze()  # the garbage collector need not look through torch again and again
+    try:
+        command(arguments)
+    except (ConfigError, TaskError, ScenarioError, CheckpointError, GenomeError) as error:
+        return _fail(str(error))
+    except EpisodeError as error:
+        _fail(str(error))
+        return 1
+    except BrokenPipeError:  # whoever read the output has read enough
+        return 0
+    except OSError as error:
+        return _fail(f"{error.filename or ''}: {error.strerror or error}".lstrip(": "))
+    except KeyboardInterrupt as error:
+        print(f"neatq: stopped{error}", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _fail(message: str) -> int:
+    print(f"neatq: error: {message}", file=sys.stderr)
+    return 2
+
+
+def train(arguments: list[str]) -> None:
+    """`neatq train`."""
+    chosen, rest = _chosen(arguments)
+    given = chosen_names(rest)
+    default = arms.preset(
+        chosen.task,
+        chosen.arm,
+        env_kwargs=assignments(chosen.env_kwargs),
+        population=chosen.population,
+        learner=chosen.learner,
+        length={unit: 1 for unit in trainer.LENGTHS if unit in given},
+    )
+    refuse_strangers(default, given)
+    options = parse(options_of(default, given), "train", rest)
+    config = with_options(default, options)
+    refuse_without_effect(config, given)
+    folder = trainer.default_folder(config) if options.out is None else options.out
+    with _saying_how_to_go_on(folder):
+        _say(trainer.start(config, folder, workers=options.workers))
+
+
+def _chosen(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
+    """What chooses the defaults of all other options, and the rest."""
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    first.add_argument("--task", default="wall")
+    first.add_argument("--arm", default="neatq")
+    first.add_argument("--population")
+    first.add_argument("--learner")
+    first.add_argument("--env-kwargs", "--env_kwargs", nargs="*", action="extend", default=[])
+    try:
+        return first.parse_known_args(arguments)
+    except argparse.ArgumentError as error:
+        raise ConfigError(str(error).removeprefix("argument ")) from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResumeCommand:
+    """Go on with a run, exactly where it stopped."""
+
+    folder: tyro.conf.Positional[Path]
+    """The run folder."""
+    ticks: int | None = None
+    """Another length for a run in a world of robots; may be longer than first asked."""
+    steps: int | None = None
+    """Another length for a run on a Gymnasium task."""
+    generations: int | None = None
+    """Another length for a run on a Gymnasium task."""
+    workers: int | None = None
+    """Processes among which Gymnasium environments are dealt; default: those that fit this machine.
+    Arenas stay with as many processes as the run was begun with."""
+
+
+def resume(arguments: list[str]) -> None:
+    """`neatq resume`."""
+    command = parse(ResumeCommand, "resume", arguments)
+    length = {name: getattr(command, name) for name in ("ticks", "steps", "generations")}
+    with _saying_how_to_go_on(command.folder):
+        _say(trainer.resume(command.folder, **length, workers=command.workers))
+
+
+def tell_all(arguments: list[str]) -> None:
+    """`neatq list`."""
+    if arguments:
+        raise ConfigError(f"list: expected no arguments, got {' '.join(arguments)}")
+    own = "".join(f"  {name}\n" for name in env_kinds)
+    print(f"tasks:\n  {', '.join(TASKS)}, a scenario file, gym:ID\n{own}arms:\n{arms.overview()}")
+    for title, kinds in (("populations", population_kinds), ("learners", learner_kinds)):
+        width = max(map(len, kinds))
+        print(f"{title}:")
+        for name in kinds:
+            says = (kinds.config(name).__doc__ or "").partition("\n")[0]
+            print(f"  {name:{width}}  {says}")
+
+
+@contextmanager
+def keeping_what_is_finished() -> Iterator[None]:
+    """Add to Ctrl-C that nothing is lost."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        advice = "; what is finished is kept: the same command goes on"
+        raise KeyboardInterrupt(advice) from error
+
+
+@contextmanager
+def _saying_how_to_go_on(out: Path) -> Iterator[None]:
+    """Add to what stopped a run what to type to go on with it; it is in folder `out`."""
+    try:
+        yield
+    except (KeyboardInterrupt, EpisodeError) as error:
+        begun = (out / CHECKPOINT).is_file()
+        advice = f"; go on with: neatq resume {shlex.quote(str(out))}" if begun else ""
+        if isinstance(error, EpisodeError):
+            raise EpisodeError(f"{error}{advice}") from error
+        raise KeyboardInterrupt(advice) from error
+
+
+def parse(command: type[Command], name: str, arguments: Sequence[str]) -> Command:
+    """Parse with tyro; values that a configuration refuses become a ConfigError."""
+    try:
+        return tyro.cli(command, prog=f"neatq {name}", args=arguments)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+
+
+def _say(folder: RunFolder) -> None:
+    """Name what was written, and what is to be said of it."""
+    written = [name for name in FILES if (folder.path / name).is_file()]
+    print(f"neatq: {folder.path}: {', '.join(written)}")
+    for note in folder.notes:
+        print(f"neatq: {note}")

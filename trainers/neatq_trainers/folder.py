@@ -1,0 +1,331 @@
+"""The folder of a run, written so that nothing is ever half there."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shlex
+import zlib
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from neatq_envs.random_play import EnvFacts
+from neatq_torch.atomic import write_atomic
+from neatq_torch.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from neatq_torch.genome import Genome, load_genome, save_genome
+from neatq_torch.kinds import ConfigError
+from neatq_trainers.config import RunConfig
+from neatq_trainers.metrics import Row, csv_line, header, row_kind
+from neatq_trainers.run import State
+from neatq_trainers.workers import Snapshot
+from neatq_trainers.worlds import ArenaConfig
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CONFIG, METRICS, CHECKPOINT = "config.json", "metrics.csv", "checkpoint.npz"
+CHAMPION, CURVES, PICTURE = "champion.json", "curves.png", "champion.png"
+ARENA, TEAM, FILM = "arena.png", "team.gif", "champion.gif"
+SCALING, RESULT = "scaling.json", "result.json"
+FILES = (METRICS, CURVES, ARENA, TEAM, CHAMPION, SCALING, RESULT, PICTURE, FILM)
+"""What a run may leave, in the order in which it is told."""
+
+Columns = dict[str, np.ndarray]
+
+
+class RunFolderError(ConfigError):
+    """A folder cannot be used for a run."""
+
+
+class RunFolder:
+    """A run on disk: what `train`, `resume` and `load_run` give.
+
+    `metrics.csv` grows by whole lines; the checkpoint says how long it was, so that a run that goes
+    on first cuts off what came later. All other files are replaced as a whole.
+
+    Attributes:
+        path: The folder; also `folder`.
+        config: What runs.
+        track: Poses [slots, ticks, 3] of the latest strides of arena 0, one life of them.
+        notes: What is to be said of the run after training.
+
+    Example:
+        >>> run = load_run("runs/wall-neatq-seed0")
+        >>> run.metrics()["mean_distance"][-1]
+        >>> policy = run.policy()
+    """
+
+    def __init__(self, path: Path, config: RunConfig) -> None:
+        self.path, self.config = path, config
+        self.track: deque[np.ndarray] = deque()
+        self.notes: list[str] = []
+        self._header = header(row_kind(config))
+        self._bytes, self._crc = len(self._header), zlib.crc32(self._header.encode())
+
+    @property
+    def folder(self) -> Path:
+        """The folder."""
+        return self.path
+
+    @staticmethod
+    def create(path: Path, config: RunConfig) -> RunFolder:
+        """Make the folder of a new run, with its configuration and metrics without rows.
+
+        Raises:
+            RunFolderError: If there is something in it.
+            OSError: If it cannot be written.
+        """
+        folder = RunFolder(path, config)
+        if path.exists() and (not path.is_dir() or any(path.iterdir())) and not folder._unbegun():
+            instead = "choose another --out"
+            if (path / CHECKPOINT).is_file():
+                command = f"neatq resume {shlex.quote(str(path))}"
+                instead += f", or go on with the run in it: {command}"
+            raise RunFolderError(f"{path}: exists and is not empty; {instead}")
+        path.mkdir(parents=True, exist_ok=True)
+        folder._write_config()
+        write_atomic(path / METRICS, folder._header)
+        return folder
+
+    def _unbegun(self) -> bool:
+        """Whether the folder holds only what `create` wrote: a run that failed before a row."""
+        if not self.path.is_dir() or {one.name for one in self.path.iterdir()} - {CONFIG, METRICS}:
+            return False
+        metrics = self.path / METRICS
+        return not metrics.exists() or metrics.read_bytes() == self._header.encode()
+
+    @staticmethod
+    def open(path: Path | str) -> RunFolder:
+        """Open the folder of a run that was begun.
+
+        Raises:
+            RunFolderError: If there is no run in it.
+            CheckpointError: If its configuration is damaged.
+        """
+        path = Path(path)
+        if not (path / CHECKPOINT).is_file():
+            raise RunFolderError(f"{path}: no run to go on with; there is no {CHECKPOINT} in it")
+        return RunFolder(path, read_config(path))
+
+    def load(self, **length: int | None) -> State:
+        """What the checkpoint holds; the folder's other files are cut back to that moment.
+
+        Args:
+            length: Another length for the run, in a unit of its world.
+
+        Returns:
+            `runs`, a state for each part that had a worker of its own, and what else was saved.
+
+        Raises:
+            RunFolderError: If the run is longer than that already.
+            CheckpointError: If the checkpoint is damaged, of another version or does not fit the
+                folder's other files.
+        """
+        state = self.read()
+        given = {unit: value for unit, value in length.items() if value is not None}
+        if given:
+            done = {unit: state["done"][unit] for unit in given}
+            nothing = dict.fromkeys(("ticks", "steps", "generations"))
+            config = replace(self.config, **nothing | given)
+            for unit, value in given.items():
+                if value < done[unit]:
+                    raise RunFolderError(
+                        f"{unit}: the run in {self.path} has {done[unit]} already, got {value}; "
+                        "give more, or begin a new run with another --out"
+                    )
+            self.config = config
+        self._cut_metrics(state["metrics_bytes"], state["metrics_crc"])
+        if given:
+            self._write_config()
+        self.track = deque([state["track"]] if state["track"].size else [])
+        return state
+
+    def read(self) -> State:
+        """What the checkpoint holds; nothing in the folder changes."""
+        state = load_checkpoint(self.path / CHECKPOINT, observation_schema=self.config.world.schema)
+        try:
+            made_with = RunConfig.from_dict(state["config"])
+        except (KeyError, TypeError, ConfigError) as error:
+            raise CheckpointError(
+                f"{self.path / CHECKPOINT}: not a run of this version of neatq ({error})"
+            ) from error
+        length = {name: getattr(self.config, name) for name in ("ticks", "steps", "generations")}
+        if replace(made_with, **length) != self.config:
+            raise CheckpointError(
+                f"{self.path / CONFIG}: not the configuration that the run was made with; restore "
+                "the file, or begin a new run with another --out"
+            )
+        return state
+
+    def add_rows(self, rows: Sequence[Row]) -> None:
+        """Add rows to the metrics."""
+        text, path = "".join(map(csv_line, rows)).encode(), self.path / METRICS
+        if not text:
+            return
+        try:
+            with path.open("ab") as file:
+                file.write(text)
+        except OSError as error:
+            error.filename = str(path)  # a full disk does not say which file
+            raise
+        self._bytes += len(text)
+        self._crc = zlib.crc32(text, self._crc)
+
+    def add_poses(self, poses: np.ndarray | None) -> None:
+        """Add poses [slots, ticks, 3] of arena 0 to the track."""
+        if poses is None:
+            return
+        self.track.append(poses)
+        life = life_ticks(self.config)
+        while sum(one.shape[1] for one in self.track) - self.track[0].shape[1] >= life:
+            self.track.popleft()
+
+    def latest_track(self) -> np.ndarray:
+        """Poses [slots, ticks, 3] of the latest life, float32, or of as many ticks as there are.
+
+        The same whether the run was interrupted or not.
+        """
+        if not self.track:
+            return np.zeros((0, 0, 3), np.float32)
+        life = life_ticks(self.config)
+        return np.concatenate(list(self.track), 1)[:, -life:].astype(np.float32)
+
+    def save(self, parts: Sequence[Snapshot], facts: EnvFacts | None, done: dict[str, int]) -> None:
+        """Write the checkpoint, the champion, and what it needs to be used.
+
+        Args:
+            parts: The arenas as they stand, as the workers have them.
+            facts: Of a Gymnasium task.
+            done: How long the run is, by unit.
+        """
+        state = {
+            "config": self.config.to_dict(),
+            "runs": [part.state for part in parts],
+            "track": self.latest_track(),
+            "facts": facts and facts.to_dict(),
+            "done": done,
+            "metrics_bytes": self._bytes,
+            "metrics_crc": self._crc,
+        }
+        schema = self.config.world.schema
+        save_checkpoint(self.path / CHECKPOINT, state, observation_schema=schema)
+        if facts is not None:
+            write_atomic(self.path / SCALING, json.dumps(facts.to_dict()) + "\n")
+        champion = best_genome(parts)
+        if champion is not None:
+            save_genome(champion, self.path / CHAMPION)
+
+    def write_result(self, result: dict[str, Any]) -> None:
+        """Write what the test of the champions returned."""
+        write_atomic(self.path / RESULT, json.dumps(result, indent=2) + "\n")
+
+    def result(self) -> dict[str, Any] | None:
+        """What the test of the champions returned; None where there was none."""
+        path = self.path / RESULT
+        return json.loads(path.read_bytes()) if path.is_file() else None
+
+    def metrics(self) -> Columns:
+        """The columns of `metrics.csv`, float64 [rows] each; empty cells are NaN."""
+        return read_metrics(self.path)
+
+    def champion(self) -> Genome:
+        """The fittest genome.
+
+        Raises:
+            CheckpointError: If there is none yet, or the run evolves none.
+        """
+        path = self.path / CHAMPION
+        if not path.is_file():
+            raise CheckpointError(
+                f"{path}: there is no such file; nobody was judged yet, or nobody evolves here"
+            )
+        return load_genome(path, observation_schema=self.config.world.schema)
+
+    def policy(self) -> Any:
+        """The champion, ready to act: see `load_policy`."""
+        from neatq_trainers.policy import load_policy
+
+        return load_policy(self.path)
+
+    def plot(self) -> Figure:
+        """The curves of the run."""
+        from neatq_trainers.report import draw_curves
+
+        title = f"{self.config.arm} on {self.config.task}"
+        return draw_curves(self.metrics(), title, one_by_one=not self.config.generational)
+
+    def _cut_metrics(self, length: int, crc: int) -> None:
+        """Cut the metrics back to what they were when the checkpoint was made."""
+        path = self.path / METRICS
+        content = path.read_bytes()[:length] if path.is_file() else b""
+        if len(content) < length or zlib.crc32(content) != crc:
+            raise CheckpointError(
+                f"{path}: altered: its first {length} bytes are not those that it had when the "
+                "checkpoint was made; restore the file, or begin a new run with another --out"
+            )
+        if not content.startswith(self._header.encode()):
+            raise CheckpointError(
+                f"{path}: not of this version of neatq, whose columns are {self._header.strip()}; "
+                "go on with the version that made it, or begin a new run with another --out"
+            )
+        write_atomic(path, content)
+        self._bytes, self._crc = length, crc
+
+    def _write_config(self) -> None:
+        write_atomic(self.path / CONFIG, json.dumps(self.config.to_dict(), indent=2) + "\n")
+
+
+def best_genome(parts: Sequence[Snapshot]) -> Genome | None:
+    """The best remembered champion of all arenas, of equal ones the first; else arena 0's."""
+    remembered = [one for part in parts for one in part.champions if one is not None]
+    if remembered:
+        return max(remembered, key=lambda one: one.score).genome
+    return parts[0].champion
+
+
+def life_ticks(config: RunConfig) -> int:
+    """How much of a run its pictures show: one life, or 1000 ticks where lives have no end."""
+    world = config.world
+    return (world.scenario.lifetime_ticks if isinstance(world, ArenaConfig) else 0) or 1000
+
+
+def load_run(path: Path | str) -> RunFolder:
+    """The run in a folder: its configuration, metrics, champion and policy.
+
+    Raises:
+        RunFolderError: If there is no run in it.
+        CheckpointError: If its configuration is damaged.
+
+    Example:
+        >>> load_run("runs/wall-neatq-seed0").plot()
+    """
+    return RunFolder.open(path)
+
+
+def read_config(path: Path) -> RunConfig:
+    """The configuration of the run in a folder.
+
+    Raises:
+        CheckpointError: If it is missing or damaged.
+    """
+    file = path / CONFIG
+    try:
+        return RunConfig.from_dict(json.loads(file.read_bytes()))
+    except FileNotFoundError as error:
+        raise CheckpointError(f"{file}: there is no such file") from error
+    except ValueError as error:
+        raise CheckpointError(f"{file}: altered or damaged: {error}") from error
+
+
+def read_metrics(path: Path) -> Columns:
+    """The columns of a run's `metrics.csv`, float64 [rows] each; empty cells are NaN."""
+    with (path / METRICS).open(newline="") as file:
+        reader = csv.DictReader(file)
+        rows = list(reader)
+        names = reader.fieldnames or []
+    return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}

@@ -1,0 +1,152 @@
+"""The options of `neatq train`: those that have an effect for an arm on a task."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import Field, field, fields, is_dataclass, make_dataclass, replace
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import tyro
+
+from neatq_envs.scenario import Scenario
+from neatq_torch.evolution import population_kinds
+from neatq_torch.kinds import ConfigError
+from neatq_torch.learning import learner_kinds
+from neatq_trainers.config import PARTS, RunConfig, named
+from neatq_trainers.effects import without_effect
+from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig
+
+_HELP = """Train a population and write a run folder.
+
+    These choose the defaults of all other options, which this help shows:
+    --task NAME (wall): a built-in task, the path of a scenario file, gym:ID for a Gymnasium
+    environment, or a world of your own (module:name)
+    --arm NAME (neatq): a preset of population, learner and network
+    --population NAME, --learner NAME: other kinds than the arm's; module:name for your own
+    --env-kwargs NAME=VALUE ...: keys of the scenario (robots=30 lifetime_ticks=500), or arguments
+    of the Gymnasium environment (continuous=true); values are JSON
+
+    neatq list says which tasks, arms, populations and learners there are."""
+_MORE = """    out: The run folder; new or empty. Default: runs/TASK-ARM-seedSEED.
+        workers: Processes; the results do not depend on it. Default: those that fit this machine.
+    """
+_SCALARS = ("arenas", "seed", "batch_ticks", "checkpoint_seconds", "logger")
+
+
+def chosen_names(arguments: Sequence[str]) -> list[str]:
+    """The options that somebody gave, by dotted path: "learner.epsilon"."""
+    given = [one[2:].partition("=")[0] for one in arguments if one.startswith("--")]
+    return [name.replace("-", "_").replace(".no_", ".") for name in given]
+
+
+def options_of(default: RunConfig, given: Sequence[str]) -> type:
+    """A class of options whose defaults are those of a configuration.
+
+    Args:
+        default: Of an arm on a task.
+        given: Options that are accepted even where they have no effect by themselves, as another
+            one may give them one.
+    """
+    hidden = {*without_effect(default), "world.id", "world.kwargs"} - {*given}
+    types = get_type_hints(RunConfig)
+    columns: list[Any] = [
+        (name, int | None, field(default=getattr(default, name))) for name in default.world.lengths
+    ]
+    columns += [(name, types[name], field(default=getattr(default, name))) for name in _SCALARS]
+    for part in PARTS:
+        own = getattr(default, part)
+        shown = part != "world" or isinstance(own, GymnasiumConfig)
+        if shown and any(name not in hidden for name in _names(own, part)):
+            kind = _twin(own, part, hidden)
+            columns.append((part, kind, field(default=kind())))
+    columns += [("out", Path | None, None), ("workers", int | None, None)]
+    kind = make_dataclass("TrainOptions", columns, frozen=True, kw_only=True)
+    kind.__doc__ = f"{_HELP}\n\n{(RunConfig.__doc__ or '').split(chr(10), 2)[2]}{_MORE}"
+    return kind
+
+
+def with_options(default: RunConfig, options: Any) -> RunConfig:
+    """A configuration with the values of parsed options.
+
+    Raises:
+        ConfigError: If one is impossible; it is called as on the command line.
+    """
+    values = {
+        one.name: getattr(options, one.name)
+        for one in fields(options)
+        if one.name not in ("out", "workers")
+    }
+    parts = {
+        name: _made(getattr(default, name), values[name], name) for name in PARTS if name in values
+    }
+    return replace(default, **values | parts)
+
+
+def _names(part: Any, path: str) -> list[str]:
+    return [] if part is None else [f"{path}.{one.name}" for one in fields(part)]
+
+
+def _twin(part: Any, path: str, hidden: Iterable[str]) -> type:
+    """A class with the texts of a configuration, and its values as defaults, that checks nothing.
+
+    What it is parsed to is checked when the configuration is made of it: then the error can name
+    the option.
+    """
+    kind, columns = type(part), []
+    types = get_type_hints(kind, include_extras=True)
+    for one in fields(part):
+        value, name, of = getattr(part, one.name), f"{path}.{one.name}", types[one.name]
+        if is_dataclass(value):
+            of = _twin(value, name, hidden)
+            value = of()
+        column: Field[Any] = field(default=value)
+        if value.__hash__ is None:
+            column = field(default_factory=lambda value=value: value)
+        columns.append((one.name, tyro.conf.Suppress[of] if name in hidden else of, column))
+    unchecked = {"__post_init__": lambda _: None}
+    return make_dataclass(
+        kind.__name__, columns, bases=(kind,), namespace=unchecked, frozen=True, kw_only=True
+    )
+
+
+def _made(default: Any, twin: Any, path: str) -> Any:
+    """The configuration of which `twin` holds the values."""
+    values = {}
+    for one in fields(default):
+        before, now = getattr(default, one.name), getattr(twin, one.name)
+        values[one.name] = _made(before, now, f"{path}.{one.name}") if is_dataclass(before) else now
+    try:
+        return type(default)(**values)
+    except ValueError as error:
+        raise ConfigError(named(path, error)) from error
+
+
+def refuse_strangers(config: RunConfig, given: Sequence[str]) -> None:
+    """Say why an option of another kind of part or world is not known here.
+
+    Raises:
+        ConfigError: Naming the option, and where it is known.
+    """
+    keys = {one.name for one in fields(Scenario)}
+    for name in given:
+        part, _, rest = name.partition(".")
+        if part in ("population", "learner"):
+            _refuse_stranger(config, part, rest)
+        elif name.removeprefix("scenario.") in keys and isinstance(config.world, ArenaConfig):
+            key = name.removeprefix("scenario.")
+            raise ConfigError(f"{name}: a key of the scenario; expected --env-kwargs {key}=VALUE")
+
+
+def _refuse_stranger(config: RunConfig, part: str, rest: str) -> None:
+    kinds = population_kinds if part == "population" else learner_kinds
+    own, name = getattr(config, part), rest.partition(".")[0]
+    if f"{part}.{name}" in _names(own, part):
+        return
+    others = [kind for kind in kinds if name in {one.name for one in fields(kinds.config(kind))}]
+    if others:
+        mine = "none" if own is None else kinds.name_of(own)
+        raise ConfigError(
+            f"{part}.{rest}: it has no effect here: the {part} of the arm {config.arm} on "
+            f"{config.task} is {mine}; known to {', '.join(others)} (--{part} NAME takes another)"
+        )

@@ -1,1 +1,0 @@
-"""Published results beside ours: `neatq reproduce NAME`."""

@@ -1,0 +1,172 @@
+"""The parts of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from neatq_torch.evolution import Population, Replacement
+from neatq_torch.genome import Genome
+from neatq_torch.learning import CandidatePolicy, Learner, LearningGenes
+from neatq_torch.network import PopulationNetwork
+from neatq_trainers.config import RunConfig
+from neatq_trainers.worlds import Heads, World
+
+EXPLORATION_STREAM = 5
+"""Of the random numbers of exploration in generations: [seed, stream, generation, slot]."""
+
+State = dict[str, Any]
+
+
+class Policy(Protocol):
+    """What a run asks of a policy."""
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Add every robot's action."""
+        ...
+
+    def reset(self, newborn: Tensor) -> None:
+        """Let newborns (mask [arenas, slots]) start afresh."""
+        ...
+
+    def state_dict(self) -> State:
+        """Everything that a checkpoint must keep."""
+        ...
+
+    def load_state_dict(self, state: State) -> None:
+        """Go on from `state_dict`."""
+        ...
+
+
+class Champion(NamedTuple):
+    """The best genome of an arena.
+
+    Attributes:
+        genome: With the weights that it had at the end of its life.
+        score: Mean return, of held-out episodes where there are such.
+        generation: In which it lived, from 1.
+    """
+
+    genome: Genome
+    score: float
+    generation: int
+
+
+class Metrics(Protocol):
+    """Watches a run: makes its rows of numbers, and remembers its champions.
+
+    Attributes:
+        champions: That of each arena, where one is remembered.
+    """
+
+    champions: list[Champion | None]
+
+    def add(self, run: Run, batch: TensorDictBase, error: Tensor) -> Sequence[Any]:
+        """The rows that fall into a batch, after evolution has been told of it.
+
+        Args:
+            run: The run, its `tick` at the end of the batch.
+            batch: [arenas, slots, ticks].
+            error: Mean squared TD error of each slot in the batch [arenas, slots].
+        """
+        ...
+
+    def steps(self, run: Run) -> int:
+        """Steps so far of the arena that has fewest."""
+        ...
+
+    def state_dict(self) -> State:
+        """Everything that a checkpoint must keep."""
+        ...
+
+    def load_state_dict(self, state: State) -> None:
+        """Go on from `state_dict`."""
+        ...
+
+
+@dataclass(kw_only=True)
+class Run:
+    """The parts of a run.
+
+    Attributes:
+        config: What it was made from.
+        world: Where all live.
+        heads: How outputs of networks are read.
+        policy: Acts for all slots.
+        learner: Learns for all slots.
+        network: All networks; None if robots learn in tables.
+        populations: The genomes of each arena; empty without evolution.
+        genes: How each robot learns and explores; None if all do alike.
+        metrics: Watches it.
+        tick: Ticks so far.
+        replacements: What evolution replaced last, of each arena.
+    """
+
+    config: RunConfig
+    world: World
+    heads: Heads
+    policy: Policy
+    learner: Learner
+    network: PopulationNetwork | None
+    populations: list[Population]
+    genes: LearningGenes | None = None
+    metrics: Metrics
+    tick: int = 0
+    replacements: list[list[Replacement]] = field(default_factory=list)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(arenas, slots)."""
+        return self.world.shape
+
+    @property
+    def generation(self) -> int:
+        """Generations that all arenas have lived through."""
+        return min((one.generations for one in self.populations), default=0)
+
+    def begin_generation(self) -> None:
+        """Where generations live: say which one begins, and with which chance it explores."""
+        if self.config.generational:
+            self.world.begin(self.generation)
+            if isinstance(self.policy, CandidatePolicy):
+                seeds = _exploration_seeds(self.config.seeds, self.shape[1], self.generation)
+                self.policy.exploration.begin(seeds)
+
+    def champion(self, arena: int) -> Genome | None:
+        """The fittest genome of an arena, with the weights that were learnt."""
+        slot = self.populations[arena].champion if self.populations else None
+        remembered = self.metrics.champions[arena]
+        if remembered is not None:
+            return remembered.genome
+        if slot is None or self.network is None:
+            return None
+        return self.network.genome(arena * self.shape[1] + slot)
+
+    def state_dict(self) -> State:
+        """Everything from which `build` goes on bit for bit; take it between two strides."""
+        state = {
+            "tick": self.tick,
+            "policy": self.policy.state_dict(),
+            "learner": self.learner.state_dict(),
+            "weight": None if self.network is None else self.network.weight,
+            "populations": [population.state_dict() for population in self.populations],
+            "metrics": self.metrics.state_dict(),
+        }
+        if hasattr(self.world.env, "world_state"):
+            state["world"] = self.world.env.world_state()
+        return state if self.genes is None else state | {"genes": self.genes.state_dict()}
+
+
+def _exploration_seeds(seeds: range, slots: int, generation: int) -> list[list[int]]:
+    """That of each slot: of (seed of the arena, generation, slot)."""
+
+    def one(seed: int, slot: int) -> int:
+        words = [seed, EXPLORATION_STREAM, generation, slot]
+        return int(np.random.SeedSequence(words).generate_state(1)[0])
+
+    return [[one(seed, slot) for slot in range(slots)] for seed in seeds]
