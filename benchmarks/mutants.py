@@ -5,7 +5,7 @@
 
 A mutant is the code with one change by Cosmic Ray: another number, a comparison, a sign, a switch.
 It is killed if the tests of its room fail, or do not end. Each is tried in a copy of the project,
-so that nothing here changes. `pip install cosmic-ray` brings what makes the changes.
+so that nothing here changes.
 """
 
 from __future__ import annotations
