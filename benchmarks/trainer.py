@@ -4,10 +4,9 @@ From tick 1,000, when evolution begins, to the end of a run as long as the publi
 of those lengths, subtracted, so start-up does not count. TorchRL's collector with a random policy
 and the bare arena, in the same worlds, show where the time goes: their cost is part of ours.
 
-Where a tick goes, as the profiler sees it: acting 27 % (the networks 6 %), the arena and its
-tensors 27 % (the arena alone 14 %), stacking ticks to batches 15 %, learning from shared memory
-13 %, breeding with write-back and teaching 4 %, new Spaces for the physics 3 %, the rest TorchRL's
-loop and the run folder. What is left to gain is the price of small tensors in Python. Printed by
+Where a tick goes, as the profiler sees it: acting 35 % (the networks 7 %), the arena and its
+tensors 34 % (the arena alone 18 %), learning from shared memory 13 %, breeding with write-back and
+teaching 5 %, new Spaces for the physics 3 %, stacking ticks to batches 2 %, the rest the loops. What is left to gain is the price of small tensors in Python. Printed by
 
     python -c "import cProfile; from benchmarks.training import trainer_tick_seconds;
     from neatq_torch import preset; wall = preset('wall', 'neatq');
