@@ -37,7 +37,15 @@ class Room(NamedTuple):
 
 
 ROOMS = {
-    "settings": Room("trainers/neatq_trainers/arms.py", ("tests/trainers/test_golden.py",)),
+    "settings": Room(
+        "trainers/neatq_trainers/arms.py",
+        (
+            "tests/trainers/test_arms.py",
+            "tests/trainers/test_golden.py",
+            "tests/trainers/test_command_line.py",
+            "tests/trainers/test_gymnasium.py",
+        ),
+    ),
     "learning": Room(
         "neatq_torch/learning/*.py", ("tests/learning", "tests/trainers/test_golden.py")
     ),

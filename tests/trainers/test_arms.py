@@ -1,0 +1,61 @@
+"""What the arms are: no setting of one changes unnoticed.
+
+A digest is that of `neatq compare`, of all settings but seed and length. One that changes means that
+the results of the arm change: say so in the changelog, and run its studies again. To make them anew:
+
+    python -c "import neatq_torch as nq; from neatq_experiments.compare.cells import digest;
+    print(digest(nq.preset('wall', 'neatq')))"
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from neatq_experiments.compare.cells import digest
+from neatq_trainers.arms import ARMS, preset
+
+DIGESTS = {
+    ("wall", "rtneat"): "dcf7a4bc7fda",
+    ("wall", "neat"): "1c4b42ddee67",
+    ("wall", "committed"): "3e1d2b4f8971",
+    ("wall", "described"): "05f3194df93a",
+    ("wall", "neatq"): "2bdacba4bfdb",
+    ("wall", "neat+q"): "3721695ccbba",
+    ("wall", "qnetwork"): "eddee2552f9f",
+    ("wall", "qlearning"): "62f479a7b08b",
+    ("gym:Pendulum-v1", "rtneat"): "282a5ca4f401",
+    ("gym:Pendulum-v1", "neat"): "01af2cd64efa",
+    ("gym:Pendulum-v1", "committed"): "be7f32a6651b",
+    ("gym:Pendulum-v1", "described"): "cbe2c6443f79",
+    ("gym:Pendulum-v1", "neatq"): "2d1230f93700",
+    ("gym:Pendulum-v1", "neat+q"): "b67c774956fd",
+    ("gym:Pendulum-v1", "qnetwork"): "f0f76f2d9620",
+}
+TICKS = {
+    "flag": 40_000,
+    "moving": 60_000,
+    "wall": 70_000,
+    "trap": 70_000,
+    "maze": 70_000,
+    "switch": 70_000,
+}
+
+
+@pytest.mark.parametrize(("task", "arm"), DIGESTS)
+def test_an_arm_has_the_settings_that_its_studies_were_made_with(task: str, arm: str) -> None:
+    assert digest(preset(task, arm)) == DIGESTS[task, arm]
+
+
+def test_every_arm_is_guarded_in_the_arena_and_on_gymnasium_tasks() -> None:
+    everywhere = [arm for arm in ARMS if ARMS[arm].arena_only is None]
+    assert [arm for task, arm in DIGESTS if task == "wall"] == list(ARMS)
+    assert [arm for task, arm in DIGESTS if task != "wall"] == everywhere
+
+
+@pytest.mark.parametrize("task", TICKS)
+def test_a_run_is_as_long_as_the_published_one(task: str) -> None:
+    assert preset(task, "rtneat").length == ("ticks", TICKS[task])
+
+
+def test_other_worlds_have_lengths_of_their_own() -> None:
+    assert preset("gym:CartPole-v1", "neat").length == ("generations", 50)
