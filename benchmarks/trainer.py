@@ -6,7 +6,8 @@ and the bare arena, in the same worlds, show where the time goes: their cost is 
 
 Where a tick goes, as the profiler sees it: acting 35 % (the networks 7 %), the arena and its
 tensors 34 % (the arena alone 18 %), learning from shared memory 13 %, breeding with write-back and
-teaching 5 %, new Spaces for the physics 3 %, stacking ticks to batches 2 %, the rest the loops. What is left to gain is the price of small tensors in Python. Printed by
+teaching 5 %, new Spaces for the physics 3 %, stacking ticks to batches 2 %, the rest the loops.
+What is left to gain is the price of small tensors in Python. Printed by
 
     python -c "import cProfile; from benchmarks.training import trainer_tick_seconds;
     from neatq_torch import preset; wall = preset('wall', 'neatq');

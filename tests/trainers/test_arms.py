@@ -1,7 +1,8 @@
 """What the arms are: no setting of one changes unnoticed.
 
-A digest is that of `neatq compare`, of all settings but seed and length. One that changes means that
-the results of the arm change: say so in the changelog, and run its studies again. To make them anew:
+A digest is that of `neatq compare`, of all settings but seed and length. One that changes means
+that the results of the arm change: say so in the changelog, and run its studies again. To make them
+anew:
 
     python -c "import neatq_torch as nq; from neatq_experiments.compare.cells import digest;
     print(digest(nq.preset('wall', 'neatq')))"
