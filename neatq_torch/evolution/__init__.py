@@ -4,7 +4,6 @@ from neatq_torch.evolution.neat import NEAT, NEATConfig
 from neatq_torch.evolution.population import (
     FixedConfig,
     FixedPopulation,
-    Generational,
     Population,
     Replacement,
     generator_from,
@@ -26,7 +25,6 @@ __all__ = [
     "OPENNERO",
     "FixedConfig",
     "FixedPopulation",
-    "Generational",
     "NEATConfig",
     "Population",
     "Replacement",

@@ -130,11 +130,8 @@ class NEAT(Generational):
         is lost, even if it is the best of all: where it was always kept, single runs of double pole
         balancing hung on to it for hundreds of generations.
 
-        Args:
-            fitness: [slots], finite. May be negative.
-
         Raises:
-            ValueError: the shape is wrong or a fitness is not finite.
+            ValueError: the shape is not [slots] or a fitness, which may be negative, not finite.
         """
         mend = " Give a genome that could not be judged the lowest fitness of the task."
         fitness = checked("fitness", fitness, mend=mend, slots=len(self.genomes))

@@ -77,8 +77,7 @@ memory raises `recurrent_link_prob`.
 """
 
 AS_WRITTEN = replace(
-    NEAT_2002,
-    mutation=replace(NEAT_2002.mutation, weight_scheme="uniform", link_weights_prob=0.8),
+    NEAT_2002, mutation=replace(NEAT_2002.mutation, weight_scheme="uniform", link_weights_prob=0.8)
 )
 """`NEAT_2002` with weights that mutate as the paper says: those of 80 % of the offspring, nine
 of ten perturbed and the others new. Some runs of double pole balancing then get lost."""

@@ -180,12 +180,7 @@ class RtNEAT(Population):
         return max(0, replacements_until(lives, self.config.ineligible_fraction) - self.settled)
 
     def tell(self, rewards: ArrayLike, done: ArrayLike | None = None) -> list[Replacement]:
-        """`record` and `advance` in one, for a loop of one's own.
-
-        Args:
-            rewards: [slots, ticks, dimensions].
-            done: Bool [slots, ticks], where lives are made of episodes.
-        """
+        """`record` and `advance` in one, for a loop of one's own."""
         self.record(rewards, done)
         return self.advance()
 

@@ -177,9 +177,7 @@ def z_scores(samples: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def relative_fitness(
-    averages: NDArray[np.float64],
-    eligible: NDArray[np.bool_],
-    reward_weights: NDArray[np.float64],
+    averages: NDArray[np.float64], eligible: NDArray[np.bool_], reward_weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Fitness float64 [slots] >= 0 from averages [slots, dimensions].
 

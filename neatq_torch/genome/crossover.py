@@ -33,7 +33,6 @@ class CrossoverConfig:
     copy_disabled: bool = False
 
     def __post_init__(self) -> None:
-        """Check every value."""
         prob = self.inherit_disabled_prob
         if not 0.0 <= prob <= 1.0:
             raise ValueError(f"inherit_disabled_prob must be a probability in [0, 1], not {prob}.")

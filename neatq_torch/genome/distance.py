@@ -38,7 +38,6 @@ class DistanceConfig:
     normalised: bool = False
 
     def __post_init__(self) -> None:
-        """Check every value."""
         for name in ("disjoint", "excess", "weight"):
             value = getattr(self, name)
             if not 0.0 <= value < np.inf:
@@ -91,7 +90,6 @@ class LinkTable:
     """
 
     def __init__(self) -> None:
-        """Start without genomes."""
         self.innovation = np.zeros((0, 0), dtype=np.int64)
         self.weight = np.zeros((0, 0), dtype=np.float32)
         self.links = np.zeros(0, dtype=np.int64)
@@ -121,17 +119,9 @@ class LinkTable:
         """Move every genome, one after the other, to the first group that it is compatible with.
 
         It is compatible with a group whose first member (at that moment) is closer than the
-        threshold; without such a group it founds one behind the others.
-
-        Args:
-            groups: slots of the members of each group, none of them empty.
-            order: slots in the order in which they move.
-            threshold: distance from which genomes are not compatible.
-            config: how distances are measured.
-
-        Returns:
-            The same groups, which may be empty now, and the new ones. Who stays keeps its rank,
-            who comes is appended.
+        threshold; without such a group it founds one behind the others. Genomes move in the
+        `order` of their slots; no group is empty before, some may be in what comes back: the same
+        groups, then the new ones. Who stays keeps its rank, who comes is appended.
         """
         sizes = [members.size for members in groups]
         slots, starts = np.concatenate(groups), np.cumsum([0, *sizes])

@@ -78,7 +78,6 @@ class Genome:
     link_recurrent: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
-        """Freeze and check the arrays."""
         for name, dtype in COLUMNS.items():
             array = frozen_array(name, getattr(self, name), dtype)
             object.__setattr__(self, name, array)

@@ -76,7 +76,6 @@ class MutationConfig:
     reenable_prob: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check every value."""
         for name, value in vars(self).items():
             if name.endswith("_prob") and not 0.0 <= value <= 1.0:
                 raise ValueError(f"{name}: expected a probability in [0, 1], got {value}.")

@@ -25,6 +25,7 @@ from neatq_torch.kinds import ConfigError
 from neatq_torch.learning import learner_kinds
 from neatq_trainers import arms
 from neatq_trainers import train as trainer
+from neatq_trainers.config import LENGTHS
 from neatq_trainers.effects import refuse_without_effect
 from neatq_trainers.folder import CHECKPOINT, FILES, RunFolder
 from neatq_trainers.options import chosen_names, options_of, refuse_strangers, with_options
@@ -69,7 +70,7 @@ def train(arguments: list[str]) -> None:
         env_kwargs=assignments(chosen.env_kwargs),
         population=chosen.population,
         learner=chosen.learner,
-        length={unit: 1 for unit in trainer.LENGTHS if unit in given},
+        length={unit: 1 for unit in LENGTHS if unit in given},
     )
     refuse_strangers(default, given)
     options = parse(options_of(default, given), "train", rest)
@@ -114,7 +115,7 @@ class ResumeCommand:
 def resume(arguments: list[str]) -> None:
     """`neatq resume`."""
     command = parse(ResumeCommand, "resume", arguments)
-    length = {name: getattr(command, name) for name in ("ticks", "steps", "generations")}
+    length = {name: getattr(command, name) for name in LENGTHS}
     with _saying_how_to_go_on(command.folder):
         _say(trainer.resume(command.folder, **length, workers=command.workers))
 

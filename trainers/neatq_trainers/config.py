@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args, get_type_hints
 
 import msgspec
 
 from neatq_torch.evolution import RtNEATConfig, interval_ticks, population_kinds
 from neatq_torch.genome import ACTIVATIONS
-from neatq_torch.kinds import ConfigError
+from neatq_torch.kinds import ConfigError, check_fields
 from neatq_torch.learning import (
     NoLearningConfig,
     ReplayConfig,
@@ -27,6 +27,7 @@ from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig, WorldConfig, wor
 
 LoggerName = Literal["csv", "tensorboard"]
 Length = Literal["ticks", "steps", "generations"]
+LENGTHS: tuple[Length, ...] = get_args(Length)
 
 BATCH_TICKS = 40
 """Most ticks of a batch in an arena: evolution replaces robots between batches."""
@@ -57,7 +58,6 @@ class NetworkConfig:
     value_range: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check ranges."""
         if self.candidates < 1:
             raise ConfigError(f"network.candidates: expected at least 1, got {self.candidates}")
         if self.value_range is not None:
@@ -113,23 +113,17 @@ class RunConfig:
     learner: Any
 
     def __post_init__(self) -> None:
-        """Check ranges, and what one part needs of another."""
-        for name in ("ticks", "steps", "generations", "arenas", "batch_ticks"):
+        for name in (*LENGTHS, "batch_ticks"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise ConfigError(f"{name}: expected at least 1, got {value}")
-        if self.seed < 0:
-            raise ConfigError(f"seed: expected at least 0, got {self.seed}")
-        if not self.checkpoint_seconds >= 0:
-            raise ConfigError(
-                f"checkpoint_seconds: expected at least 0, got {self.checkpoint_seconds}"
-            )
+        check_fields(self, arenas="[1, inf]", seed="[0, inf]", checkpoint_seconds="[0, inf]")
         self._check_length()
         self._check_parts()
 
     def _check_length(self) -> None:
         allowed = self.world.lengths
-        given = [name for name in ("ticks", "steps", "generations") if getattr(self, name)]
+        given = [name for name in LENGTHS if getattr(self, name)]
         for name in given:
             if name not in allowed:
                 raise ConfigError(
@@ -171,8 +165,7 @@ class RunConfig:
     @property
     def length(self) -> tuple[Length, int]:
         """The unit of the run's length, and how many of them."""
-        names: tuple[Length, ...] = ("ticks", "steps", "generations")
-        return next((name, value) for name in names if (value := getattr(self, name)))
+        return next((name, value) for name in LENGTHS if (value := getattr(self, name)))
 
     @property
     def learns(self) -> bool:
@@ -198,16 +191,10 @@ class RunConfig:
             return 1
         if isinstance(self.world, GymnasiumConfig):
             return EPISODIC_BATCH_TICKS
-        population, slots = self.population, self.world.slots
-        if (
-            not isinstance(population, RtNEATConfig)
-            or population.minimum_life_episodes
-            or not slots
-        ):
+        own, slots = self.population, self.world.slots
+        if not isinstance(own, RtNEATConfig) or own.minimum_life_episodes or not slots:
             return BATCH_TICKS
-        interval = interval_ticks(
-            population.minimum_life_ticks, slots, population.ineligible_fraction
-        )
+        interval = interval_ticks(own.minimum_life_ticks, slots, own.ineligible_fraction)
         return max(1, min(BATCH_TICKS, math.floor(interval)))
 
     @property
@@ -276,8 +263,7 @@ class RunConfig:
                     parts[name] = _read(kinds.config(own.pop("kind")), own, name)
             parts["network"] = _read(NetworkConfig, parts["network"], "network")
             scalars = {key: parts[key] for key in values if key not in ("network", *_KINDS)}
-            types = {f.name: f.type for f in fields(RunConfig)}
-            unknown = scalars.keys() - types.keys()
+            unknown = scalars.keys() - {one.name for one in fields(RunConfig)}
             if unknown:
                 raise ConfigError(f"configuration: unknown {', '.join(sorted(unknown))}")
             return RunConfig(**parts | _read(_Scalars, scalars, "run").__dict__)
@@ -285,23 +271,10 @@ class RunConfig:
             raise ConfigError(f"configuration: damaged, or of another version ({error})") from error
 
 
-@dataclass
-class _Scalars:
-    """The fields of `RunConfig` that are no parts, with their types."""
-
-    task: str
-    arm: str
-    ticks: int | None
-    steps: int | None
-    generations: int | None
-    arenas: int
-    seed: int
-    batch_ticks: int | None
-    checkpoint_seconds: float
-    logger: LoggerName | None
-
-
 PARTS = ("network", "population", "learner", "world")
+_TYPES = get_type_hints(RunConfig)
+_Scalars = make_dataclass("_Scalars", [item for item in _TYPES.items() if item[0] not in PARTS])
+"""The fields of `RunConfig` that are no parts; all must be given."""
 _KINDS = {"world": world_kinds, "population": population_kinds, "learner": learner_kinds}
 
 Part = TypeVar("Part")

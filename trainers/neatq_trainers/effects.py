@@ -13,11 +13,7 @@ from neatq_trainers.worlds import GymnasiumConfig
 
 
 def refuse_without_effect(config: RunConfig, settings: Iterable[str]) -> None:
-    """Refuse a setting that somebody chose and that changes nothing.
-
-    Args:
-        config: With all that was chosen.
-        settings: What was chosen, by dotted path: "learner.epsilon".
+    """Refuse what somebody chose, by dotted path ("learner.epsilon"), if it changes nothing.
 
     Raises:
         ConfigError: Naming the first such setting, and why it has no effect.

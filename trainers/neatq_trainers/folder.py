@@ -19,7 +19,7 @@ from neatq_torch.atomic import write_atomic
 from neatq_torch.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from neatq_torch.genome import Genome, load_genome, save_genome
 from neatq_torch.kinds import ConfigError
-from neatq_trainers.config import RunConfig
+from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.metrics import Row, csv_line, header, row_kind
 from neatq_trainers.run import State
 from neatq_trainers.workers import Snapshot
@@ -101,16 +101,16 @@ class RunFolder:
 
     @staticmethod
     def open(path: Path | str) -> RunFolder:
-        """Open the folder of a run that was begun.
-
-        Raises:
-            RunFolderError: If there is no run in it.
-            CheckpointError: If its configuration is damaged.
-        """
-        path = Path(path)
+        """See `load_run`."""
+        path, file = Path(path), Path(path) / CONFIG
         if not (path / CHECKPOINT).is_file():
             raise RunFolderError(f"{path}: no run to go on with; there is no {CHECKPOINT} in it")
-        return RunFolder(path, read_config(path))
+        try:
+            return RunFolder(path, RunConfig.from_dict(json.loads(file.read_bytes())))
+        except FileNotFoundError as error:
+            raise CheckpointError(f"{file}: there is no such file") from error
+        except ValueError as error:
+            raise CheckpointError(f"{file}: altered or damaged: {error}") from error
 
     def load(self, **length: int | None) -> State:
         """What the checkpoint holds; the folder's other files are cut back to that moment.
@@ -130,8 +130,7 @@ class RunFolder:
         given = {unit: value for unit, value in length.items() if value is not None}
         if given:
             done = {unit: state["done"][unit] for unit in given}
-            nothing = dict.fromkeys(("ticks", "steps", "generations"))
-            config = replace(self.config, **nothing | given)
+            config = replace(self.config, **dict.fromkeys(LENGTHS) | given)
             for unit, value in given.items():
                 if value < done[unit]:
                     raise RunFolderError(
@@ -154,7 +153,7 @@ class RunFolder:
             raise CheckpointError(
                 f"{self.path / CHECKPOINT}: not a run of this version of neatq ({error})"
             ) from error
-        length = {name: getattr(self.config, name) for name in ("ticks", "steps", "generations")}
+        length = {name: getattr(self.config, name) for name in LENGTHS}
         if replace(made_with, **length) != self.config:
             raise CheckpointError(
                 f"{self.path / CONFIG}: not the configuration that the run was made with; restore "
@@ -196,7 +195,7 @@ class RunFolder:
         return np.concatenate(list(self.track), 1)[:, -life:].astype(np.float32)
 
     def save(self, parts: Sequence[Snapshot], facts: EnvFacts | None, done: dict[str, int]) -> None:
-        """Write the checkpoint, the champion, and what it needs to be used.
+        """Write the checkpoint, the best champion of all arenas, and what it needs to be used.
 
         Args:
             parts: The arenas as they stand, as the workers have them.
@@ -216,7 +215,9 @@ class RunFolder:
         save_checkpoint(self.path / CHECKPOINT, state, observation_schema=schema)
         if facts is not None:
             write_atomic(self.path / SCALING, json.dumps(facts.to_dict()) + "\n")
-        champion = best_genome(parts)
+        remembered = [one for part in parts for one in part.champions if one is not None]
+        best = max(remembered, key=lambda one: one.score, default=None)  # of equal ones the first
+        champion = parts[0].champion if best is None else best.genome
         if champion is not None:
             save_genome(champion, self.path / CHAMPION)
 
@@ -280,14 +281,6 @@ class RunFolder:
         write_atomic(self.path / CONFIG, json.dumps(self.config.to_dict(), indent=2) + "\n")
 
 
-def best_genome(parts: Sequence[Snapshot]) -> Genome | None:
-    """The best remembered champion of all arenas, of equal ones the first; else arena 0's."""
-    remembered = [one for part in parts for one in part.champions if one is not None]
-    if remembered:
-        return max(remembered, key=lambda one: one.score).genome
-    return parts[0].champion
-
-
 def life_ticks(config: RunConfig) -> int:
     """How much of a run its pictures show: one life, or 1000 ticks where lives have no end."""
     world = config.world
@@ -299,7 +292,7 @@ def load_run(path: Path | str) -> RunFolder:
 
     Raises:
         RunFolderError: If there is no run in it.
-        CheckpointError: If its configuration is damaged.
+        CheckpointError: If its configuration is missing or damaged.
 
     Example:
         >>> load_run("runs/wall-neatq-seed0").plot()
@@ -307,23 +300,8 @@ def load_run(path: Path | str) -> RunFolder:
     return RunFolder.open(path)
 
 
-def read_config(path: Path) -> RunConfig:
-    """The configuration of the run in a folder.
-
-    Raises:
-        CheckpointError: If it is missing or damaged.
-    """
-    file = path / CONFIG
-    try:
-        return RunConfig.from_dict(json.loads(file.read_bytes()))
-    except FileNotFoundError as error:
-        raise CheckpointError(f"{file}: there is no such file") from error
-    except ValueError as error:
-        raise CheckpointError(f"{file}: altered or damaged: {error}") from error
-
-
 def read_metrics(path: Path) -> Columns:
-    """The columns of a run's `metrics.csv`, float64 [rows] each; empty cells are NaN."""
+    """See `RunFolder.metrics`; of the run in a folder."""
     with (path / METRICS).open(newline="") as file:
         reader = csv.DictReader(file)
         rows = list(reader)

@@ -199,17 +199,14 @@ class ReturnMetrics:
     """In worlds of returns: a row when an arena has lived through one more generation.
 
     On Gymnasium tasks the fittest are now and then evaluated on held-out episodes, and the champion
-    is the one that was evaluated best; elsewhere it is the one with the best life.
-
-    Args:
-        populations: That of each arena.
-        shape: (arenas, slots).
+    is the one that was evaluated best; elsewhere it is the one with the best life. Made of the
+    population of each arena and the shape (arenas, slots).
     """
 
     _counters = ("_steps", "_episodes", "_error", "_counted", "_generations")
 
     def __init__(self, populations: Sequence[Population], shape: tuple[int, int]) -> None:
-        arenas, _ = shape
+        arenas = shape[0]
         self.champions: list[Champion | None] = [None] * arenas
         self._steps, self._episodes = np.zeros(arenas, np.int64), np.zeros(arenas, np.int64)
         self._error, self._counted = np.zeros(shape), np.zeros(shape, np.int64)

@@ -43,10 +43,7 @@ def chosen_names(arguments: Sequence[str]) -> list[str]:
 def options_of(default: RunConfig, given: Sequence[str]) -> type:
     """A class of options whose defaults are those of a configuration.
 
-    Args:
-        default: Of an arm on a task.
-        given: Options that are accepted even where they have no effect by themselves, as another
-            one may give them one.
+    Those `given` are accepted even without effect, as another one may give them one.
     """
     hidden = {*without_effect(default), "world.id", "world.kwargs"} - {*given}
     types = get_type_hints(RunConfig)

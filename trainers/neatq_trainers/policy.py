@@ -21,7 +21,7 @@ from neatq_torch.network import GenomeNetwork
 from neatq_trainers.build import build, heads_of
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import SCALING, RunFolder
-from neatq_trainers.worlds import GymnasiumConfig, Heads, World, make_world
+from neatq_trainers.worlds import GymnasiumConfig, Heads, make_world
 
 
 class ChampionPolicy(nn.Module):
@@ -142,13 +142,11 @@ class TablePolicy(nn.Module):
 
 def make_policy(config: RunConfig, genome: Genome, facts: EnvFacts | None) -> ChampionPolicy:
     """The policy of a genome in the world of a run."""
-    world: World = make_world(config.world, config.seeds[:1], episodes=1, facts=facts)
-    network = GenomeNetwork(genome, evaluation=config.network.evaluation)
-    interface = getattr(world, "interface", None)
-    scaling = None if facts is None else facts.scaling
-    twice = config.network.double_activation
-    heads = heads_of(config, world)
+    world = make_world(config.world, config.seeds[:1], episodes=1, facts=facts)
+    heads, interface = heads_of(config, world), getattr(world, "interface", None)
     world.close()
+    network = GenomeNetwork(genome, evaluation=config.network.evaluation)
+    scaling, twice = facts and facts.scaling, config.network.double_activation
     return ChampionPolicy(network, heads, interface, scaling, double_activation=twice)
 
 
@@ -169,7 +167,7 @@ def load_policy(folder: Path | str) -> ChampionPolicy | TablePolicy:
         >>> observation, _ = env.reset(seed=1)
         >>> observation, reward, terminated, truncated, _ = env.step(policy(observation))
     """
-    run = RunFolder.open(Path(folder))
+    run = RunFolder.open(folder)
     if run.config.population is None:
         state = run.read()
         learner = build(run.config.split(len(state["runs"]))[0], state["runs"][0]).learner

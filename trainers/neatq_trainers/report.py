@@ -66,11 +66,8 @@ def write_report(folder: RunFolder) -> list[str]:
     Returns:
         What was left out, and why.
     """
-    metrics = folder.metrics()
-    if metrics["arena"].size:
-        title = f"{folder.config.arm} on {folder.config.task}"
-        curves = draw_curves(metrics, title, one_by_one=not folder.config.generational)
-        save_figure(curves, folder.path / CURVES)
+    if folder.metrics()["arena"].size:
+        save_figure(folder.plot(), folder.path / CURVES)
     champion = folder.champion() if (folder.path / CHAMPION).is_file() else None
     if isinstance(folder.config.world, ArenaConfig):
         if champion is not None:
@@ -192,12 +189,8 @@ def _draw_team(folder: RunFolder, world: ArenaConfig) -> None:
 def play(run: Run, ticks: int) -> tuple[np.ndarray, np.ndarray]:
     """Let a team live together from the spawn, without exploration and without learning.
 
-    Args:
-        run: In the arena. Its networks act; their recurrent state is used up.
-        ticks: How long.
-
-    Returns:
-        Poses [ticks, slots, 3] (x, y, heading in rad) and flags [ticks, 2] of arena 0.
+    The networks of the run act; their recurrent state is used up. Returns poses [ticks, slots, 3]
+    (x, y, heading in rad) and flags [ticks, 2] of arena 0.
     """
     world = run.config.world
     assert isinstance(world, ArenaConfig)
@@ -250,7 +243,9 @@ def film(folder: RunFolder, policy: ChampionPolicy) -> list[np.ndarray]:
         observation, _ = env.reset(seed=seed)
         done = False
         while not done:
-            frames.append(_small(np.asarray(env.render())))
+            picture = Image.fromarray(np.asarray(env.render()))
+            picture.thumbnail((WIDEST, WIDEST))
+            frames.append(np.asarray(picture))
             observation, _, terminated, truncated, _ = env.step(policy(observation))
             done = terminated or truncated
     except gymnasium.error.DependencyNotInstalled as error:
@@ -258,9 +253,3 @@ def film(folder: RunFolder, policy: ChampionPolicy) -> list[np.ndarray]:
     finally:
         env.close()
     return frames[:: math.ceil(len(frames) / MOST_FRAMES)]
-
-
-def _small(picture: np.ndarray) -> np.ndarray:
-    image = Image.fromarray(picture)
-    image.thumbnail((WIDEST, WIDEST))
-    return np.asarray(image)

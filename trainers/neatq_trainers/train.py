@@ -26,7 +26,7 @@ from neatq_trainers.callbacks import (
     Report,
     TorchRLLogger,
 )
-from neatq_trainers.config import RunConfig
+from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.effects import refuse_without_effect
 from neatq_trainers.folder import RunFolder
 from neatq_trainers.loop import Stride
@@ -38,7 +38,6 @@ from neatq_trainers.worlds import GymnasiumConfig, GymnasiumWorld, facts_of, mak
 STRIDES_AHEAD = 8
 """Strides that a worker may have under way, so that none waits for a slower one."""
 BUILT_IN = (MetricsFile, TorchRLLogger, ProgressBar, Checkpoints, Report)
-LENGTHS = ("ticks", "steps", "generations")
 
 
 @dataclass(kw_only=True)
@@ -122,8 +121,7 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
     config = preset(
         task, arm, env_kwargs=env_kwargs, population=population, learner=learner, length=length
     )
-    changes = {"arenas": arenas, "seed": seed, **(settings or {})}
-    config = config.changed(changes)
+    config = config.changed({"arenas": arenas, "seed": seed, **(settings or {})})
     refuse_without_effect(config, settings or {})
     return start(config, out, workers=workers, callbacks=callbacks)
 
@@ -247,19 +245,15 @@ def _take(session: Session, came: Sequence[Stride], callbacks: Sequence[Callback
     """Take over what came of a stride of all workers."""
     session.lengths = {unit: min(stride.done(unit) for stride in came) for unit in LENGTHS}
     session.folder.add_poses(came[0].poses)
-    rows = in_order(came, session.config.first_arenas(len(came)))
-    for callback in callbacks:
-        callback.rows(session, rows)
-
-
-def in_order(came: Sequence[Stride], first_arenas: Sequence[int]) -> list[Row]:
-    """The rows of all arenas by time and arena, from those of each worker's arenas."""
-    numbered = [
+    firsts = session.config.first_arenas(len(came))
+    rows: list[Row] = [
         row._replace(arena=first + row.arena)
-        for first, stride in zip(first_arenas, came, strict=True)
+        for first, stride in zip(firsts, came, strict=True)
         for row in stride.rows
     ]
-    return sorted(numbered, key=lambda row: (row[1], row.arena))
+    rows.sort(key=lambda row: (row[1], row.arena))
+    for callback in callbacks:
+        callback.rows(session, rows)
 
 
 def _test(session: Session, champions: Sequence[Champion | None]) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import torch
 
@@ -41,31 +41,10 @@ class Snapshot(NamedTuple):
     champions: list[Champion | None]
 
 
-class Worker(Protocol):
-    """Trains some arenas of a run."""
-
-    def begin(self) -> None:
-        """Let it train one stride more; several may be under way."""
-        ...
-
-    def finish(self) -> Stride:
-        """What came of the earliest stride under way."""
-        ...
-
-    def snapshot(self) -> Snapshot:
-        """The run as it stands; no stride may be under way."""
-        ...
-
-
 class LocalWorker:
-    """Trains in this process.
+    """Trains some arenas of a run in this process; see `build`.
 
-    Args:
-        config: The arenas.
-        state: To go on from; None to begin.
-        facts: Of a Gymnasium task.
-        callbacks: Whose `batch` and `advance` are called.
-        workers: Processes among which environments are dealt.
+    `batch` and `advance` of the callbacks are called here.
     """
 
     def __init__(
@@ -80,14 +59,14 @@ class LocalWorker:
         self._strides = strides(self._run, callbacks)
 
     def begin(self) -> None:
-        """Nothing: `finish` does the work."""
+        """Let it train one stride more; several may be under way. Here `finish` does the work."""
 
     def finish(self) -> Stride:
-        """Train one stride."""
+        """What came of the earliest stride under way."""
         return next(self._strides)
 
     def snapshot(self) -> Snapshot:
-        """The run as it stands."""
+        """The run as it stands; no stride may be under way."""
         run = self._run
         return Snapshot(run.state_dict(), run.champion(0), run.metrics.champions)
 
@@ -134,6 +113,9 @@ class ProcessWorker:
         self._far.close()
 
 
+Worker = LocalWorker | ProcessWorker
+
+
 @contextmanager
 def open_workers(
     parts: Sequence[RunConfig],
@@ -145,7 +127,7 @@ def open_workers(
     """A worker for each part of a run: this process if there is one part, else a process each."""
     own = [one for one in callbacks if _is_called_there(one)]
     with ExitStack() as stack:
-        opened: list[LocalWorker | ProcessWorker] = []
+        opened: list[Worker] = []
         for config, state in zip(parts, states, strict=True):
             if len(parts) == 1:
                 opened.append(LocalWorker(config, state, facts, own, workers))

@@ -126,7 +126,6 @@ class GymnasiumConfig:
     test_episodes: int = 100
 
     def __post_init__(self) -> None:
-        """Check ranges."""
         for name in ("slots", "every", "evaluated", "episodes", "test_episodes"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"world.{name}: expected at least 1, got {getattr(self, name)}")
@@ -229,7 +228,7 @@ class GymnasiumWorld(World):
     Args:
         config: Which.
         seeds: One for each arena.
-        facts: What random play has shown.
+        facts: What `facts_of` has found.
         episodes: Of each slot in a generation; None: episode after episode without end.
         workers: Processes among which the environments of this run are dealt.
     """
@@ -296,15 +295,8 @@ class GymnasiumWorld(World):
     ) -> np.ndarray:
         """Returns without exploration and learning, in environments of their own.
 
-        Args:
-            genomes: Who acts.
-            seeds: Of the starts of their episodes, int64 [genomes, episodes].
-            heads: How outputs are read.
-            evaluation: How networks are evaluated.
-            double_activation: As `CandidatePolicy` has it.
-
-        Returns:
-            Float64 [genomes, episodes]. Episodes run side by side; none depends on another.
+        Each genome acts in its episodes, which start by `seeds`, int64 [genomes, episodes]. They
+        run side by side; none depends on another. Returns float64 [genomes, episodes].
         """
         flat = [genome for genome in genomes for _ in range(seeds.shape[1])]
         if self._free is None:  # those of the run are in the middle of episodes
@@ -393,15 +385,7 @@ def make_world(
     facts: EnvFacts | None = None,
     workers: int = 1,
 ) -> World:
-    """The world of a configuration.
-
-    Args:
-        config: Which.
-        seeds: One for each arena.
-        episodes: Of each slot in a generation; None where slots live on and on.
-        facts: What `facts_of` has found.
-        workers: Processes among which Gymnasium environments are dealt.
-    """
+    """The world of a configuration; see `GymnasiumWorld`, which alone asks for `facts`."""
     if isinstance(config, ArenaConfig):
         return ArenaWorld(config, seeds)
     if isinstance(config, EnvConfig):
