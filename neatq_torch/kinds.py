@@ -52,6 +52,20 @@ def _within(value: float | None, interval: str) -> tuple[bool, str]:
     return not (interval[0] == "(" and value == float(least)), expected
 
 
+def import_own(noun: str, name: str, module: str) -> None:
+    """Import the module of a name "module:name", which registers what it has.
+
+    Raises:
+        ConfigError: If there is no such module.
+    """
+    try:
+        importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"{noun}: {name}: {error}; a module of your own is found if its folder is in PYTHONPATH"
+        ) from error
+
+
 class Kinds:
     """A registry: each kind has a name, a configuration class and what makes it.
 
@@ -96,13 +110,7 @@ class Kinds:
         """
         module, colon, own = name.rpartition(":")
         if own not in self._kinds and colon:
-            try:
-                importlib.import_module(module)
-            except ModuleNotFoundError as error:
-                raise ConfigError(
-                    f"{self.noun}: {name}: {error}; a module of your own is found if its folder is "
-                    "in PYTHONPATH"
-                ) from error
+            import_own(self.noun, name, module)
         if own not in self._kinds:
             raise ConfigError(
                 f"{self.noun}: expected one of {', '.join(self._kinds)}, or module:name where the "

@@ -23,7 +23,7 @@ from neatq_torch.learning import (
     learner_kinds,
 )
 from neatq_torch.network import Evaluation
-from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig, WorldConfig, world_kinds
+from neatq_trainers.worlds import ArenaConfig, EnvConfig, GymnasiumConfig, WorldConfig, world_kinds
 
 LoggerName = Literal["csv", "tensorboard"]
 Length = Literal["ticks", "steps", "generations"]
@@ -155,6 +155,12 @@ class RunConfig:
             )
         if not evolves and not self.learns:
             raise ConfigError("learner: a fixed population without learning would never change")
+        if self.generational and self.arenas > 1 and isinstance(self.world, EnvConfig):
+            raise ConfigError(
+                f"arenas: expected 1, got {self.arenas}; in a world of your own nobody stands idle "
+                "until the other arenas have lived their generation (run one seed after the other, "
+                "or take the arm rtneat or neatq)"
+            )
         lasting = isinstance(self.world, ArenaConfig) and not self.world.scenario.lifetime_ticks
         if self.generational and lasting:
             raise ConfigError(

@@ -5,7 +5,6 @@ Three kinds: the arena, any Gymnasium environment, and a user's own TorchRL envi
 
 from __future__ import annotations
 
-import importlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -27,7 +26,7 @@ from neatq_envs.sensors import schema_of
 from neatq_envs.torchrl_env import ArenaEnv
 from neatq_envs.torchrl_rows import GymnasiumRows
 from neatq_torch.genome import Genome
-from neatq_torch.kinds import ConfigError, Kinds
+from neatq_torch.kinds import ConfigError, Kinds, import_own
 from neatq_torch.learning import CandidateHeads, DiscreteHeads
 from neatq_torch.network import Evaluation, PopulationNetwork
 
@@ -367,13 +366,7 @@ def find_env(name: str) -> MakeEnv | None:
     """What makes a registered world; "module:name" imports the module first. None: unknown."""
     module, colon, own = name.rpartition(":")
     if colon and own not in env_kinds:
-        try:
-            importlib.import_module(module)
-        except ModuleNotFoundError as error:
-            raise ConfigError(
-                f"task: {name}: {error}; a module of your own is found if its folder is in "
-                "PYTHONPATH"
-            ) from error
+        import_own("task", name, module)
     return env_kinds.get(own)
 
 
