@@ -16,7 +16,7 @@ def corridor() -> str:
 def test_generations_of_several_arenas_are_refused_as_nobody_would_stand_idle(
     corridor: str,
 ) -> None:
-    with pytest.raises(nq.ConfigError, match="arenas: expected 1, got 2; .* nobody stands idle"):
+    with pytest.raises(nq.ConfigError, match=r"arenas: expected 1, got 2; .* nobody stands idle"):
         nq.preset(corridor, "neat").changed({"arenas": 2})
     assert nq.preset(corridor, "neat").arenas == 1
 
@@ -26,5 +26,5 @@ def test_genomes_that_are_replaced_one_at_a_time_may_have_several_arenas(corrido
 
 
 def test_a_world_of_a_module_that_is_not_there_is_refused_with_the_remedy() -> None:
-    with pytest.raises(nq.ConfigError, match="task: nowhere:corridor: .* PYTHONPATH"):
+    with pytest.raises(nq.ConfigError, match=r"task: nowhere:corridor: .* PYTHONPATH"):
         nq.preset("nowhere:corridor", "rtneat")
