@@ -59,14 +59,14 @@ class ReproduceCommand:
                 raise ConfigError(f"{name}: expected at least 1, got {value}")
 
 
-def reproduce(arguments: list[str]) -> None:
+def reproduce_command(arguments: list[str]) -> None:
     """`neatq reproduce`."""
     command = parse(ReproduceCommand, "reproduce", arguments)
     with keeping_what_is_finished():
         run_experiment(command)
 
 
-def compare(arguments: list[str]) -> None:
+def compare_command(arguments: list[str]) -> None:
     """`neatq compare`; it knows the study's variants, and draws the published curves."""
     variants.register()
     command = parse(CompareCommand, "compare", arguments)

@@ -32,8 +32,8 @@ from neatq_trainers.arms import preset
 from neatq_trainers.config import RunConfig
 
 NEAT_Q_ARMS = ("neat+q", "neat", "qnetwork")
-POPULATION, NETWORKS = 50, 10
-GENERATIONS, QUICK_GENERATIONS = 40, 5
+EVOLVING, NETWORKS = 50, 10
+FULL_GENERATIONS, QUICK_GENERATIONS = 40, 5
 
 
 class Budget(NamedTuple):
@@ -60,8 +60,8 @@ SERVER_JOBS = Budget("gym:neatq/ServerJobs-v0", 4, 50, 300)
 
 def budget_config(budget: Budget, arm: str, *, quick: bool) -> RunConfig:
     """The configuration of an arm: the trainer's own, at this budget."""
-    slots = NETWORKS if arm == "qnetwork" else POPULATION
-    length = {"generations": QUICK_GENERATIONS if quick else GENERATIONS}
+    slots = NETWORKS if arm == "qnetwork" else EVOLVING
+    length = {"generations": QUICK_GENERATIONS if quick else FULL_GENERATIONS}
     config = preset(budget.task, arm, env_kwargs=budget.env_kwargs, length=length)
     return config.changed(
         {
@@ -69,7 +69,7 @@ def budget_config(budget: Budget, arm: str, *, quick: bool) -> RunConfig:
             "world.evaluated": 3,
             "world.episodes": budget.held_out,
             "world.test_episodes": budget.tested,
-            "population.episodes": budget.episodes * POPULATION // slots,
+            "population.episodes": budget.episodes * EVOLVING // slots,
         }
     )
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from neatq_experiments.compare.variants import Variant, register_variants
 
 
-class Part(NamedTuple):
+class StudyPart(NamedTuple):
     """One thing in which `neatq` differs from `described`.
 
     Attributes:
@@ -22,36 +22,36 @@ class Part(NamedTuple):
     removed: Mapping[str, Any]
 
 
-PARTS: dict[str, Part] = {
-    "progress": Part(
+STUDY_PARTS: dict[str, StudyPart] = {
+    "progress": StudyPart(
         "a reward for coming nearer",
         {"world.scenario.reward": "progress"},
         {"world.scenario.reward": "published"},
     ),
-    "adam": Part(
+    "adam": StudyPart(
         "Adam's steps",
         {"learner.optimizer": "adam", "learner.learning_rate": 0.03},
         {"learner.optimizer": "sgd", "learner.learning_rate": 0.9},
     ),
-    "exploration": Part(
+    "exploration": StudyPart(
         "one exploratory tick in a hundred instead of ten",
         {"learner.epsilon": 0.01},
         {"learner.epsilon": 0.1},
     ),
-    "candidates": Part(
+    "candidates": StudyPart(
         "5 instead of 10 candidates", {"network.candidates": 5}, {"network.candidates": 10}
     ),
-    "discount": Part(
+    "discount": StudyPart(
         "a discount of 0.9 instead of 0.8",
         {"learner.discount": 0.9},
         {"learner.discount": 0.8},
     ),
-    "wires": Part(
+    "wires": StudyPart(
         "candidates that move: wire fitting",
         {"learner.wires": True},
         {"learner.kind": "td"},
     ),
-    "replay": Part(
+    "replay": StudyPart(
         "learning from what all robots went through",
         {
             "learner.kind": "replay",
@@ -61,17 +61,17 @@ PARTS: dict[str, Part] = {
         },
         {"learner.kind": "td", "learner.wires": True},
     ),
-    "horizon": Part(
+    "horizon": StudyPart(
         "rewards over 40 ticks before a value stands for the rest",
         {"learner.horizon": 40},
         {"learner.horizon": 1},
     ),
-    "teaching": Part(
+    "teaching": StudyPart(
         "newborns learn before their first tick",
         {"learner.newborn_updates": 100},
         {"learner.newborn_updates": 0},
     ),
-    "sparing": Part(
+    "sparing": StudyPart(
         "a replacement every 200 ticks instead of 40: a tenth are newborns, not half",
         {"population.ineligible_fraction": 0.1},
         {"population.ineligible_fraction": 0.5},
@@ -86,7 +86,7 @@ def _ladder() -> dict[str, Variant]:
     The last two steps are in other places: `neatq` without its last part, and `neatq`.
     """
     steps, changes = {}, {}
-    for number, (name, part) in enumerate(list(PARTS.items())[:-2], 1):
+    for number, (name, part) in enumerate(list(STUDY_PARTS.items())[:-2], 1):
         changes |= part.added
         summary = f"described, its first {number} steps to neatq; the last: {part.summary}"
         steps[f"step-{number}-{name}"] = Variant(
@@ -101,12 +101,12 @@ def _without() -> dict[str, Variant]:
         f"neatq-without-{name}": Variant(
             base="neatq", summary=f"neatq without: {part.summary}", changes=part.removed
         )
-        for name, part in PARTS.items()
+        for name, part in STUDY_PARTS.items()
     }
 
 
 _WORLD = {"world.scenario.sensors": "arena", "world.scenario.reward": "progress"}
-_SPARING = PARTS["sparing"].added
+_SPARING = STUDY_PARTS["sparing"].added
 STUDY_GROUPS: dict[str, dict[str, Variant]] = {
     "ladder": _ladder(),
     "without": _without(),

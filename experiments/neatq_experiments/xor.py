@@ -21,32 +21,32 @@ from neatq_torch.evolution import NEAT, NEATConfig
 from neatq_torch.genome import Genome, NodeKind
 from neatq_torch.network import PopulationNetwork
 
-POPULATION = 150
-GENERATIONS = 400
+XOR_SLOTS = 150
+XOR_GENERATIONS = 400
 INPUTS = torch.tensor([[0, 0], [0, 1], [1, 0], [1, 1]], dtype=torch.float64)
 TARGETS = torch.tensor([0, 1, 1, 0], dtype=torch.float64)
 
 
 def run_xor(task: SeedTask) -> list[Result]:
     """Evolve once for each seed."""
-    return [solve_xor(NEATConfig(), seed, generations=GENERATIONS) for seed in task.seeds]
+    return [solve_xor(NEATConfig(), seed, generations=XOR_GENERATIONS) for seed in task.seeds]
 
 
-def solve_xor(config: NEATConfig, seed: int, *, generations: int = GENERATIONS) -> Result:
+def solve_xor(config: NEATConfig, seed: int, *, generations: int = XOR_GENERATIONS) -> Result:
     """Evolve XOR and say what it took.
 
     Evaluations count every genome from the founders to the first solution, which counts, too.
     """
     rng = np.random.default_rng(seed)
-    population = NEAT.start(config, slots=POPULATION, inputs=2, outputs=1, rng=rng)
+    population = NEAT.start(config, slots=XOR_SLOTS, inputs=2, outputs=1, rng=rng)
     for generation in range(generations):
-        fitness, right = judge(population.genomes)
+        fitness, right = judge_xor(population.genomes)
         if right.any():
             slot = int(right.argmax())
             solution = population.genomes[slot]
             return {
                 "solved": True,
-                "evaluations": generation * POPULATION + slot + 1,
+                "evaluations": generation * XOR_SLOTS + slot + 1,
                 "generations": generation + 1,
                 "hidden": int((solution.node_kind == NodeKind.HIDDEN).sum()),
                 "links": int(solution.link_enabled.sum()),
@@ -56,7 +56,7 @@ def solve_xor(config: NEATConfig, seed: int, *, generations: int = GENERATIONS) 
     return {"solved": False} | dict.fromkeys(names)
 
 
-def judge(genomes: list[Genome]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def judge_xor(genomes: list[Genome]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return fitness and whether all four outputs are on the right side, both [genomes]."""
     outputs = answers(genomes)
     errors = (outputs - TARGETS).abs().sum(-1)

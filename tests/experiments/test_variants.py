@@ -15,7 +15,7 @@ from neatq_experiments.compare.cells import digest, grid
 from neatq_experiments.compare.figures import colours_of
 from neatq_experiments.compare.tables import SeedOutcome, Study
 from neatq_experiments.compare.variants import PAPER_ARMS, config_of
-from neatq_experiments.variants import PARTS, STUDY_GROUPS, register
+from neatq_experiments.variants import STUDY_GROUPS, STUDY_PARTS, register
 from neatq_torch.learning import EpsilonGreedy
 from neatq_trainers.config import RunConfig
 from neatq_trainers.worlds import ArenaConfig
@@ -82,20 +82,22 @@ def test_a_variant_is_its_arm_with_other_values() -> None:
 
 
 def test_all_parts_together_lead_from_what_the_paper_describes_to_neatq() -> None:
-    everything = {path: value for part in PARTS.values() for path, value in part.added.items()}
+    everything = {
+        path: value for part in STUDY_PARTS.values() for path, value in part.added.items()
+    }
     described, neatq = config_of("wall", "described"), config_of("wall", "neatq")
     assert digest(described.changed(everything)) == digest(neatq)
     last_step = config_of("wall", list(STUDY_GROUPS["ladder"])[-1])
-    name, last = list(PARTS.items())[-1]
-    before = last_step.changed(list(PARTS.values())[-2].added)
+    name, last = list(STUDY_PARTS.items())[-1]
+    before = last_step.changed(list(STUDY_PARTS.values())[-2].added)
     assert digest(before) == digest(config_of("wall", f"neatq-without-{name}"))
     assert digest(before.changed(last.added)) == digest(neatq)
 
 
 def test_a_part_that_is_taken_out_can_be_put_back() -> None:
     neatq = config_of("flag", "neatq")
-    whole = {path: value for part in PARTS.values() for path, value in part.added.items()}
-    for name in PARTS:
+    whole = {path: value for part in STUDY_PARTS.values() for path, value in part.added.items()}
+    for name in STUDY_PARTS:
         without = config_of("flag", f"neatq-without-{name}")
         assert without != neatq
         assert without.changed({"learner.kind": "td"}).changed(whole) == neatq

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from neatq_experiments.seeds import SeedTask
-from neatq_experiments.xor import XOR, judge, run_xor, solve_xor, xor_table
+from neatq_experiments.xor import XOR, judge_xor, run_xor, solve_xor, xor_table
 from neatq_torch.evolution import NEATConfig
 from neatq_torch.genome import initial_genome
 
@@ -19,7 +19,7 @@ def test_fitness_is_the_square_of_4_minus_the_errors() -> None:
     sloped = genome.with_weights([0.25, 0.25, 0.25])
     # All outputs are 0.75.
     level = genome.with_weights([0.0, 0.0, 0.75])
-    fitness, right = judge([sloped, level])
+    fitness, right = judge_xor([sloped, level])
     assert fitness.tolist() == [
         (4 - 0.25 - 0.5 - 0.5 - 0.75) ** 2,
         (4 - 0.75 - 0.25 * 2 - 0.75) ** 2,
@@ -53,7 +53,7 @@ def test_the_table_counts_failures_and_means_only_what_was_solved() -> None:
 
 
 def test_a_task_runs_its_seeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("neatq_experiments.xor.GENERATIONS", 1)
+    monkeypatch.setattr("neatq_experiments.xor.XOR_GENERATIONS", 1)
     results = run_xor(SeedTask("neat", (0, 1), True, tmp_path))
     assert len(results) == 2
     assert XOR.arms == ("neat",) and XOR.seeds == 100

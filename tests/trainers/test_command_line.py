@@ -17,13 +17,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import tyro
 
 from neatq_torch.checkpoint import load_checkpoint
 from neatq_trainers import train as trainer
 from neatq_trainers.arms import ARMS, preset
 from neatq_trainers.cli import main
 from neatq_trainers.config import RunConfig
-from neatq_trainers.folder import CHECKPOINT, CONFIG, METRICS, RunFolder
+from neatq_trainers.folder import CHECKPOINT, CONFIG, METRICS, load_run
+from neatq_trainers.options import options_of, with_options
 from neatq_trainers.train import start
 
 Say = Callable[..., tuple[int, str, str]]
@@ -366,11 +368,20 @@ EVERYWHERE = [
 @pytest.mark.parametrize(("task", "arm"), EVERYWHERE)
 def test_the_help_of_train_has_few_options(task: str, arm: str) -> None:
     head, _, rest = help_of(task, arm).partition(" options ")
-    for option in ("task", "arm", "population", "learner", "env-kwargs"):
+    first = ("task", "arm", "population", "learner", "env-kwargs")
+    for option in first:
         assert f"--{option} N" in head
-    # Of an on and an off, one: --learner.anneal, --learner.no-anneal
     names = set(re.findall(r"(?<!\S)--[a-z][a-z.-]*", rest))
-    assert len({name for name in names if not re.search(r"[.-]no-", name)}) <= 70
+    assert len(first) + len(names) <= 70
+
+
+def test_an_option_that_the_help_leaves_out_is_heard() -> None:
+    option = "population.reproduction.mutation.split_tries"
+    assert option not in help_of("flag", "rtneat").replace("-", "_").partition(" options ")[2]
+    default = preset("flag", "rtneat")
+    options = tyro.cli(options_of(default, [option]), args=[f"--{option}", "30"])
+    changed = default.changed({option: 30})
+    assert with_options(default, options) == changed != default
 
 
 @pytest.mark.parametrize(("task", "arm"), EVERYWHERE)
@@ -506,5 +517,5 @@ def test_a_run_says_what_it_wrote_and_nothing_else_when_there_is_no_terminal(
     assert (status, error) == (0, "")
     wanted = "metrics.csv, curves.png, arena.png, team.gif, champion.json, champion.png"
     assert out == f"neatq: runs/wall-described-seed3: {wanted}\n"
-    run = RunFolder.open(tmp_path / "runs" / "wall-described-seed3")
+    run = load_run(tmp_path / "runs" / "wall-described-seed3")
     assert load_checkpoint(run.path / CHECKPOINT)["done"]["ticks"] >= 100

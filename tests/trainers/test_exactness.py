@@ -19,7 +19,7 @@ from neatq_trainers.build import build
 from neatq_trainers.callbacks import Callback
 from neatq_trainers.cli import main
 from neatq_trainers.config import RunConfig
-from neatq_trainers.folder import CHAMPION, CHECKPOINT, CONFIG, METRICS, RESULT, SCALING, RunFolder
+from neatq_trainers.folder import CHAMPION, CHECKPOINT, CONFIG, METRICS, RESULT, SCALING, load_run
 from neatq_trainers.metrics import Row
 from neatq_trainers.train import Session, resume, start
 from neatq_trainers.worlds import facts_of
@@ -122,7 +122,7 @@ Whole = Callable[[str], Path]
 
 def done(folder: Path, unit: str = "ticks") -> int:
     """How long the run in a folder is."""
-    return RunFolder.open(folder).read()["done"][unit]
+    return load_run(folder).read()["done"][unit]
 
 
 class Rows(Callback):
@@ -237,7 +237,7 @@ def test_rows_written_after_the_checkpoint_and_half_a_row_are_cut_off(
     with pytest.raises(RuntimeError, match="power cut"):
         start(often, folder, callbacks=[Rows(200 if "wall" in case else 80, power_cut)])
     before = len((folder / METRICS).read_bytes())
-    assert before > RunFolder.open(folder).read()["metrics_bytes"]
+    assert before > load_run(folder).read()["metrics_bytes"]
     with (folder / METRICS).open("a") as file:
         file.write(row)
     resume(folder)

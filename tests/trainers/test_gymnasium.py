@@ -33,7 +33,7 @@ from neatq_trainers.folder import (
     PICTURE,
     RESULT,
     SCALING,
-    RunFolder,
+    load_run,
 )
 from neatq_trainers.policy import make_policy
 from neatq_trainers.report import draw_curves, write_report
@@ -252,7 +252,7 @@ def test_q_values_of_random_play_have_a_range_by_hand(toy: str) -> None:
 
 
 def test_the_curves_show_champion_best_and_mean(done: Path) -> None:
-    (axes,) = draw_curves(RunFolder.open(done).metrics(), "title").axes
+    (axes,) = draw_curves(load_run(done).metrics(), "title").axes
     labels = [line.get_label() for line in axes.get_lines()]
     assert len(labels) == 3
     (champion,) = (line for line in axes.get_lines() if "champion" in str(line.get_label()))
@@ -269,7 +269,7 @@ def test_a_report_without_pygame_leaves_the_animation_out(
 
     monkeypatch.setattr(sys.modules["toy_tasks"].Walk, "render", missing)
     (run / FILM).unlink(missing_ok=True)
-    (note,) = write_report(RunFolder.open(run))
+    (note,) = write_report(load_run(run))
     assert note == "champion.gif: left out: pygame is not installed"
     assert (run / CURVES).is_file()
     assert not (run / FILM).exists()

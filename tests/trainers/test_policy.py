@@ -22,7 +22,7 @@ from neatq_torch.genome import Genome, GenomeError, load_genome, save_genome
 from neatq_trainers.arms import ARMS, preset
 from neatq_trainers.build import build
 from neatq_trainers.config import RunConfig
-from neatq_trainers.folder import CHAMPION, CONFIG, RESULT, SCALING, RunFolder, RunFolderError
+from neatq_trainers.folder import CHAMPION, CONFIG, RESULT, SCALING, RunFolderError, load_run
 from neatq_trainers.policy import ChampionPolicy, load_policy
 from neatq_trainers.train import start
 
@@ -51,7 +51,7 @@ def done(
 
 def team_of(folder: Path, ticks: int) -> tuple[Tensor, Tensor, int]:
     """Observations and greedy actions [slots, ticks, ..] of the team of a run, and its champion."""
-    run = RunFolder.open(folder)
+    run = load_run(folder)
     built = build(run.config, run.read()["runs"][0])
     champion = built.populations[0].champion
     remembered = built.metrics.champions[0]
@@ -132,7 +132,7 @@ def test_a_batch_is_as_many_robots(done: Done) -> None:
 
 def test_a_table_takes_the_best_action_of_the_first_robot(done: Done) -> None:
     folder = done("qlearning")
-    run = RunFolder.open(folder)
+    run = load_run(folder)
     table = build(run.config, run.read()["runs"][0]).learner.table  # type: ignore[attr-defined]
     key = next(key for key, row in table._entries.items() if table.values[row].any())
     mine = [key for key in table._entries if key[:4] == bytes(4)]
@@ -150,7 +150,7 @@ def test_a_table_takes_the_best_action_of_the_first_robot(done: Done) -> None:
 
 def returns_in_a_plain_environment(folder: Path) -> list[float]:
     """Returns of the test episodes of a run, played with its policy."""
-    config, policy = RunFolder.open(folder).config, load_policy(folder)
+    config, policy = load_run(folder).config, load_policy(folder)
     assert isinstance(policy, nn.Module)
     env = gymnasium.make(config.world.id, **config.world.kwargs)  # type: ignore[union-attr]
     returns = []
@@ -196,7 +196,7 @@ def test_every_space_is_read_and_acted_in(
 ) -> None:
     kwargs = {"observes": observes, "acts": acts}
     start(tiny_walk("neat", "Spaces-v0", env_kwargs=kwargs, generations=1), tmp_path / "run")
-    run = RunFolder.open(tmp_path / "run")
+    run = load_run(tmp_path / "run")
     policy = load_policy(run.path)
     assert isinstance(policy, ChampionPolicy)
     interface = policy.interface

@@ -23,12 +23,12 @@ from neatq_trainers.build import build
 from neatq_trainers.callbacks import Callback
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import (
-    ARENA,
     CHAMPION,
     CHECKPOINT,
     CONFIG,
     CURVES,
     METRICS,
+    PATHS,
     PICTURE,
     TEAM,
     RunFolder,
@@ -62,7 +62,7 @@ def copy(done: Path, tmp_path: Path) -> Path:
 
 
 def test_the_folder_holds_the_results_and_no_temporary_file(done: Path) -> None:
-    wanted = {CONFIG, METRICS, CHECKPOINT, CHAMPION, CURVES, ARENA, TEAM, PICTURE, "logs"}
+    wanted = {CONFIG, METRICS, CHECKPOINT, CHAMPION, CURVES, PATHS, TEAM, PICTURE, "logs"}
     assert set(os.listdir(done)) == wanted
 
 
@@ -93,7 +93,7 @@ def test_the_metrics_have_a_row_for_each_arena_and_100_ticks(done: Path) -> None
 
 
 def test_the_pictures_can_be_opened(done: Path) -> None:
-    for name in (CURVES, ARENA):
+    for name in (CURVES, PATHS):
         with Image.open(done / name) as picture:
             assert picture.format == "PNG"
             assert min(picture.size) >= 300
@@ -103,7 +103,7 @@ def test_the_pictures_can_be_opened(done: Path) -> None:
 
 
 def test_the_champion_is_the_fittest_robot_with_the_weights_it_learnt(done: Path) -> None:
-    folder = RunFolder.open(done)
+    folder = load_run(done)
     run = build(folder.config, folder.read()["runs"][0])
     champion = run.populations[0].champion
     assert champion is not None
@@ -130,12 +130,12 @@ def test_the_tensorboard_logger_writes_events(tiny: Tiny, tmp_path: Path) -> Non
 
 def test_a_run_shorter_than_a_row_still_has_a_report(tiny: Tiny, tmp_path: Path) -> None:
     write_report(start(tiny("qlearning", ticks=1), tmp_path / "run"))
-    wanted = {CONFIG, METRICS, CHECKPOINT, ARENA, TEAM}
+    wanted = {CONFIG, METRICS, CHECKPOINT, PATHS, TEAM}
     assert set(os.listdir(tmp_path / "run")) == wanted
 
 
 def test_the_track_is_the_latest_life(done: Path) -> None:
-    state = RunFolder.open(done).read()
+    state = load_run(done).read()
     assert state["track"].shape == (9, 200, 3)
     assert state["track"].dtype == np.float32
     # Poses are seen at the beginning of a tick: one tick of at most 1 unit before the world's.
@@ -239,7 +239,7 @@ def test_a_missing_file_is_named(copy: Path, name: str) -> None:
 
 def test_a_run_cannot_be_made_shorter_than_it_is(copy: Path) -> None:
     before = (copy / CONFIG).read_bytes()
-    tick = RunFolder.open(copy).read()["done"]["ticks"]
+    tick = load_run(copy).read()["done"]["ticks"]
     with pytest.raises(RunFolderError, match=f"has {tick} already, got 100"):
         resume(copy, ticks=100)
     assert (copy / CONFIG).read_bytes() == before
@@ -250,7 +250,7 @@ def test_a_full_disk_during_training_leaves_a_run_that_goes_on_exactly(
 ) -> None:
     again = Path(shutil.copytree(copy, tmp_path / "again"))
     resume(copy, ticks=500)
-    tick = RunFolder.open(again).read()["done"]["ticks"]
+    tick = load_run(again).read()["done"]["ticks"]
 
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -265,7 +265,7 @@ def test_a_full_disk_during_training_leaves_a_run_that_goes_on_exactly(
     ):
         resume(again, ticks=500, callbacks=[Fill()])
     assert caught.value.filename == str(again / CHECKPOINT)
-    assert RunFolder.open(again).read()["done"]["ticks"] == tick
+    assert load_run(again).read()["done"]["ticks"] == tick
     resume(again)
     assert (again / METRICS).read_bytes() == (copy / METRICS).read_bytes()
 

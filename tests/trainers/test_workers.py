@@ -17,7 +17,7 @@ from neatq_torch.kinds import ConfigError
 from neatq_trainers.callbacks import Callback
 from neatq_trainers.cli import main
 from neatq_trainers.config import RunConfig
-from neatq_trainers.folder import CHAMPION, CONFIG, METRICS, RESULT, RunFolder
+from neatq_trainers.folder import CHAMPION, CONFIG, METRICS, RESULT, load_run
 from neatq_trainers.metrics import Row
 from neatq_trainers.run import Run
 from neatq_trainers.train import Session, resume, start
@@ -99,7 +99,7 @@ def test_generations_in_the_arena_end_at_the_same_tick_in_two_processes(
     start(config, tmp_path / "one")
     start(config, tmp_path / "two", workers=2)
     assert same_files(tmp_path / "one", tmp_path / "two")
-    assert RunFolder.open(tmp_path / "two").read()["done"]["ticks"] == 400
+    assert load_run(tmp_path / "two").read()["done"]["ticks"] == 400
 
 
 def test_a_run_goes_on_with_another_number_of_processes(tiny_walk: Tiny, tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_a_run_in_two_processes_that_is_interrupted_goes_on_exactly(
         with pytest.raises(KeyboardInterrupt):
             start(config, folder, workers=2, callbacks=[Late(80, interrupt_everybody)])
     assert multiprocessing.active_children() == []
-    assert 80 <= RunFolder.open(folder).read()["done"]["ticks"] < 320
+    assert 80 <= load_run(folder).read()["done"]["ticks"] < 320
     resume(folder)
     assert same_files(alone, folder)
 
@@ -150,7 +150,7 @@ def test_environments_in_two_processes_survive_ctrl_c(tiny_walk: Tiny, tmp_path:
     with pytest.raises(KeyboardInterrupt):
         start(config, tmp_path / "run", workers=2, callbacks=[Late(40, interrupt_everybody)])
     assert multiprocessing.active_children() == []
-    assert RunFolder.open(tmp_path / "run").read()["done"]["generations"] < 3
+    assert load_run(tmp_path / "run").read()["done"]["generations"] < 3
     resume(tmp_path / "run")
     assert same_files(tmp_path / "whole", tmp_path / "run")
 

@@ -29,18 +29,10 @@ from neatq_trainers.worlds import (
     find_env,
 )
 
-TASK_TICKS = {
-    "flag": 40_000,
-    "moving": 60_000,
-    "wall": 70_000,
-    "trap": 70_000,
-    "maze": 70_000,
-    "switch": 70_000,
-}
-"""Length of the published runs (one tick of their figures is 100 ticks); of our own tasks, the
-longest of them."""
-OWN_TICKS, GENERATIONS = 70_000, 50
-"""Length on other worlds of robots, and on Gymnasium tasks."""
+OWN_TICKS, OWN_GENERATIONS = 70_000, 50
+"""Length on worlds of robots that were not published, and on Gymnasium tasks."""
+TASK_TICKS = dict.fromkeys(TASKS, OWN_TICKS) | {"flag": 40_000, "moving": 60_000, "wall": 70_000}
+"""Length of the published runs (one tick of their figures is 100 ticks)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,7 +251,7 @@ def _length(task: str, world: WorldConfig, given: Mapping[str, int | None]) -> d
         return lengths
     if "ticks" in world.lengths:
         return {"ticks": TASK_TICKS.get(task, OWN_TICKS)}
-    return {"generations": GENERATIONS}
+    return {"generations": OWN_GENERATIONS}
 
 
 def _world(task: str, arm: Arm, kwargs: Mapping[str, Any]) -> WorldConfig:

@@ -12,6 +12,7 @@ from neatq_torch.kinds import ConfigError
 from neatq_torch.learning import (
     CandidatePolicy,
     EpsilonGreedy,
+    Heads,
     Learner,
     LearnerParts,
     LearningGenes,
@@ -24,7 +25,7 @@ from neatq_torch.network import PopulationNetwork
 from neatq_trainers.config import RunConfig, named
 from neatq_trainers.metrics import make_metrics
 from neatq_trainers.run import Run, State
-from neatq_trainers.worlds import GymnasiumConfig, Heads, World, make_world
+from neatq_trainers.worlds import GymnasiumConfig, World, make_world
 
 GENES_STREAM = 3
 """Of the random numbers of learning genes: [seed, stream]."""

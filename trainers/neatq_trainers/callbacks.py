@@ -117,14 +117,15 @@ def words(rows: Sequence[Row]) -> str:
     """How the arenas are doing by their last rows: means over them."""
     latest = list({row.arena: row for row in rows}.values())
     if isinstance(latest[0], DistanceRow):
-        mean = _mean(latest, "mean_distance")
+        mean = mean_of(latest, "mean_distance")
         nearest = min(row.min_distance for row in latest if isinstance(row, DistanceRow))
         return f"distance mean {mean:.0f}, least {nearest:.0f}"
-    best, champion = (_mean(latest, name) for name in ("best_fitness", "champion_return"))
+    best, champion = (mean_of(latest, name) for name in ("best_fitness", "champion_return"))
     return f"best {best:.1f}, champion {champion:.1f}"
 
 
-def _mean(rows: Sequence[Row], name: str) -> float:
+def mean_of(rows: Sequence[Row], name: str) -> float:
+    """The mean of a number over rows."""
     return sum(getattr(row, name) for row in rows) / len(rows)
 
 

@@ -7,11 +7,11 @@ import sys
 from collections.abc import Sequence
 
 _COMMANDS = {
-    "train": ("neatq_trainers.commands", "train"),
-    "resume": ("neatq_trainers.commands", "resume"),
-    "compare": ("neatq_experiments.command", "compare"),
-    "reproduce": ("neatq_experiments.command", "reproduce"),
-    "list": ("neatq_trainers.commands", "tell_all"),
+    "train": ("neatq_trainers.commands", "train_command"),
+    "resume": ("neatq_trainers.commands", "resume_command"),
+    "compare": ("neatq_experiments.command", "compare_command"),
+    "reproduce": ("neatq_experiments.command", "reproduce_command"),
+    "list": ("neatq_trainers.commands", "list_command"),
 }
 """Where the function of each command is."""
 

@@ -60,7 +60,7 @@ def _fail(message: str) -> int:
     return 2
 
 
-def train(arguments: list[str]) -> None:
+def train_command(arguments: list[str]) -> None:
     """`neatq train`."""
     chosen, rest = _chosen(arguments)
     given = chosen_names(rest)
@@ -112,7 +112,7 @@ class ResumeCommand:
     Arenas stay with as many processes as the run was begun with."""
 
 
-def resume(arguments: list[str]) -> None:
+def resume_command(arguments: list[str]) -> None:
     """`neatq resume`."""
     command = parse(ResumeCommand, "resume", arguments)
     length = {name: getattr(command, name) for name in LENGTHS}
@@ -120,7 +120,7 @@ def resume(arguments: list[str]) -> None:
         _say(trainer.resume(command.folder, **length, workers=command.workers))
 
 
-def tell_all(arguments: list[str]) -> None:
+def list_command(arguments: list[str]) -> None:
     """`neatq list`."""
     if arguments:
         raise ConfigError(f"list: expected no arguments, got {' '.join(arguments)}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass, replace
+from dataclasses import dataclass, field, fields, make_dataclass, replace
 from itertools import pairwise
 from typing import Any, Literal, TypeVar, get_args, get_type_hints
 
@@ -240,14 +240,14 @@ class RunConfig:
                 )
             part[name] = value
             if name == "kind":
-                own = _plain(_KINDS[parents[0]].config(value)())
+                own = msgspec.to_builtins(_KINDS[parents[0]].config(value)())
                 shared = {key: one for key, one in part.items() if key in own}
                 values[parents[0]] = {"kind": value, **own, **shared}
         return RunConfig.from_dict(values)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values from which `from_dict` makes an equal configuration."""
-        values = _plain(self)
+        values = msgspec.to_builtins(self)
         for name, kinds in _KINDS.items():
             part = getattr(self, name)
             if part is not None:
@@ -283,10 +283,10 @@ _Scalars = make_dataclass("_Scalars", [item for item in _TYPES.items() if item[0
 """The fields of `RunConfig` that are no parts; all must be given."""
 _KINDS = {"world": world_kinds, "population": population_kinds, "learner": learner_kinds}
 
-Part = TypeVar("Part")
+Value = TypeVar("Value")
 
 
-def _read(kind: type[Part], values: Any, name: str) -> Part:
+def _read(kind: type[Value], values: Any, name: str) -> Value:
     try:
         return msgspec.convert(values, kind, strict=True)
     except ValueError as error:  # of msgspec, too, which says at the end where it was
@@ -307,14 +307,3 @@ def named(path: str, error: ValueError | str) -> str:
     if text.startswith(f"{path}."):
         return text
     return f"{path}{'.' if re.match(r'[a-z_]+: ', text) else ': '}{text}"
-
-
-def _plain(value: Any) -> Any:
-    """JSON values of a configuration and of all its parts."""
-    if is_dataclass(value):
-        return {entry.name: _plain(getattr(value, entry.name)) for entry in fields(value)}
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    return value

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
 CONFIG, METRICS, CHECKPOINT = "config.json", "metrics.csv", "checkpoint.npz"
 CHAMPION, CURVES, PICTURE = "champion.json", "curves.png", "champion.png"
-ARENA, TEAM, FILM = "arena.png", "team.gif", "champion.gif"
+PATHS, TEAM, FILM = "arena.png", "team.gif", "champion.gif"
 SCALING, RESULT = "scaling.json", "result.json"
-FILES = (METRICS, CURVES, ARENA, TEAM, CHAMPION, SCALING, RESULT, PICTURE, FILM)
+FILES = (METRICS, CURVES, PATHS, TEAM, CHAMPION, SCALING, RESULT, PICTURE, FILM)
 """What a run may leave, in the order in which it is told."""
 
 Columns = dict[str, np.ndarray]
@@ -98,19 +98,6 @@ class RunFolder:
             return False
         metrics = self.path / METRICS
         return not metrics.exists() or metrics.read_bytes() == self._header.encode()
-
-    @staticmethod
-    def open(path: Path | str) -> RunFolder:
-        """See `load_run`."""
-        path, file = Path(path), Path(path) / CONFIG
-        if not (path / CHECKPOINT).is_file():
-            raise RunFolderError(f"{path}: no run to go on with; there is no {CHECKPOINT} in it")
-        try:
-            return RunFolder(path, RunConfig.from_dict(json.loads(file.read_bytes())))
-        except FileNotFoundError as error:
-            raise CheckpointError(f"{file}: there is no such file") from error
-        except ValueError as error:
-            raise CheckpointError(f"{file}: altered or damaged: {error}") from error
 
     def load(self, **length: int | None) -> State:
         """What the checkpoint holds; the folder's other files are cut back to that moment.
@@ -297,7 +284,15 @@ def load_run(path: Path | str) -> RunFolder:
     Example:
         >>> load_run("runs/wall-neatq-seed0").plot()
     """
-    return RunFolder.open(path)
+    path, file = Path(path), Path(path) / CONFIG
+    if not (path / CHECKPOINT).is_file():
+        raise RunFolderError(f"{path}: no run to go on with; there is no {CHECKPOINT} in it")
+    try:
+        return RunFolder(path, RunConfig.from_dict(json.loads(file.read_bytes())))
+    except FileNotFoundError as error:
+        raise CheckpointError(f"{file}: there is no such file") from error
+    except ValueError as error:
+        raise CheckpointError(f"{file}: altered or damaged: {error}") from error
 
 
 def read_metrics(path: Path) -> Columns:

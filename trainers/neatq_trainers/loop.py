@@ -136,7 +136,10 @@ def _stacked(ticks: Sequence[TensorDictBase]) -> TensorDict:
     for key, first in columns[0].items():
         column = [one[key] for one in columns]
         nested = isinstance(first, TensorDict)
-        values[key] = _stacked(column) if nested else torch.stack(column, dim)
+        if nested:
+            values[key] = _stacked(column)
+        else:
+            values[key] = torch.stack(column, dim) if len(ticks) > 1 else first.unsqueeze(dim)
     return TensorDict._new_unsafe(values, size)
 
 

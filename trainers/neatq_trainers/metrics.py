@@ -174,8 +174,8 @@ def _judged(population: Population | None, now: np.ndarray) -> dict[str, Any]:
         return {"births": 0, "species": 0, **dict.fromkeys(empty)}
     eligible, champion = population.eligible, population.champion
     return {
-        "eligible_mean_distance": _mean(now[eligible]),
-        "newborn_mean_distance": _mean(now[~eligible]),
+        "eligible_mean_distance": _mean_or_none(now[eligible]),
+        "newborn_mean_distance": _mean_or_none(now[~eligible]),
         "champion_distance": None if champion is None else float(now[champion]),
         "births": population.births,
         **_sizes(population),
@@ -191,7 +191,7 @@ def _sizes(population: Population) -> dict[str, Any]:
     }
 
 
-def _mean(values: np.ndarray) -> float | None:
+def _mean_or_none(values: np.ndarray) -> float | None:
     return float(values.mean()) if values.size else None
 
 
@@ -215,8 +215,9 @@ class ReturnMetrics:
     def add(self, run: Run, batch: TensorDictBase, error: Tensor) -> list[ReturnRow]:
         """See `Metrics`."""
         living = batch.get("living", None)
-        ones = np.ones(batch.shape, np.int64)
-        ticks = (ones if living is None else living.squeeze(-1).numpy()).sum(-1)
+        ticks = np.full(batch.shape[:2], batch.shape[-1])
+        if living is not None:
+            ticks = living.squeeze(-1).numpy().sum(-1)
         self._steps += ticks.sum(-1)
         self._episodes += batch.get(("next", "done")).flatten(1).sum(1).numpy()
         self._error += error.double().numpy() * ticks

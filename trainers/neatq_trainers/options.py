@@ -27,10 +27,17 @@ _HELP = """Train a population and write a run folder.
     --env-kwargs NAME=VALUE ...: keys of the scenario (robots=30 lifetime_ticks=500), or arguments
     of the Gymnasium environment (continuous=true); values are JSON
 
-    neatq list says which tasks, arms, populations and learners there are."""
+    neatq list says which tasks, arms, populations and learners there are. What config.json has
+    beyond this help can be set, too: --population.reproduction.mutation.split-tries 30"""
 _MORE = """    out: The run folder; new or empty. Default: runs/TASK-ARM-seedSEED.
         workers: Processes; the results do not depend on it. Default: those that fit this machine.
     """
+_RARE = """interspecies_mate_prob multipoint_prob mutation.new_link_tries mutation.split_tries
+    mutation.split_old_below mutation.split_weight_scale mutation.hidden_activation
+    mutation.forward_from_outputs mutation.recurrent_loop_prob mutation.new_link_weight_power
+    mutation.toggle_enable_prob mutation.reenable_prob crossover.copy_disabled
+    crossover.inherit_disabled_prob distance.normalised"""
+# Of reproduction: the help does not show them, but whoever gives them is heard.
 _SCALARS = ("arenas", "seed", "batch_ticks", "checkpoint_seconds", "logger")
 
 
@@ -45,7 +52,8 @@ def options_of(default: RunConfig, given: Sequence[str]) -> type:
 
     Those `given` are accepted even without effect, as another one may give them one.
     """
-    hidden = {*without_effect(default), "world.id", "world.kwargs"} - {*given}
+    rare = {f"population.reproduction.{name}" for name in _RARE.split()}
+    hidden = {*without_effect(default), *rare, "world.id", "world.kwargs"} - {*given}
     types = get_type_hints(RunConfig)
     columns: list[Any] = [
         (name, int | None, field(default=getattr(default, name))) for name in default.world.lengths

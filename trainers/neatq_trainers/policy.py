@@ -16,12 +16,12 @@ from neatq_envs.observation_scaling import LARGEST, ObservationScaling
 from neatq_envs.random_play import EnvFacts
 from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.genome import Genome
-from neatq_torch.learning import TableLearner
+from neatq_torch.learning import Heads, TableLearner
 from neatq_torch.network import GenomeNetwork
 from neatq_trainers.build import build, heads_of
 from neatq_trainers.config import RunConfig
-from neatq_trainers.folder import SCALING, RunFolder
-from neatq_trainers.worlds import GymnasiumConfig, Heads, make_world
+from neatq_trainers.folder import SCALING, load_run
+from neatq_trainers.worlds import GymnasiumConfig, make_world
 
 
 class ChampionPolicy(nn.Module):
@@ -167,7 +167,7 @@ def load_policy(folder: Path | str) -> ChampionPolicy | TablePolicy:
         >>> observation, _ = env.reset(seed=1)
         >>> observation, reward, terminated, truncated, _ = env.step(policy(observation))
     """
-    run = RunFolder.open(folder)
+    run = load_run(folder)
     if run.config.population is None:
         state = run.read()
         learner = build(run.config.split(len(state["runs"]))[0], state["runs"][0]).learner

@@ -21,17 +21,17 @@ from neatq_envs.render import animation, draw_paths, frame
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.build import build
 from neatq_trainers.folder import (
-    ARENA,
     CHAMPION,
     CURVES,
     FILM,
+    PATHS,
     PICTURE,
     TEAM,
     Columns,
     RunFolder,
     life_ticks,
 )
-from neatq_trainers.genome_figure import draw_genome
+from neatq_trainers.genome_figure import candidate_names, draw_genome
 from neatq_trainers.metrics import ROW_TICKS
 from neatq_trainers.policy import ChampionPolicy, make_policy
 from neatq_trainers.run import Run
@@ -176,7 +176,7 @@ def _draw_team(folder: RunFolder, world: ArenaConfig) -> None:
             highlight=champion,
             highlight_label="champion",
         )
-        save_figure(paths, folder.path / ARENA)
+        save_figure(paths, folder.path / PATHS)
     poses, flags = play(run, life)
     frames = [
         frame(world.scenario, pose[:, :2], pose[:, 2], flag, highlight=champion)
@@ -212,11 +212,8 @@ def output_names(folder: RunFolder, policy: ChampionPolicy) -> list[str]:
     if policy.interface is not None and policy.interface.choices is not None:
         value = "value of action" if folder.config.learns else "action"
         return [f"{value} {action}" for action in range(policy.interface.choices)]
-    if heads.candidates == 1:
-        return [f"action {action}" for action in range(heads.actions)]
-    parts = ((c, a) for c in range(heads.candidates) for a in range(heads.actions))
-    names = [f"candidate {c} action {a}" for c, a in parts]
-    return names + [f"value of candidate {c}" for c in range(heads.candidates)]
+    actions = [f"action {action}" for action in range(heads.actions)]
+    return [*candidate_names(heads.candidates, actions)]
 
 
 def film(folder: RunFolder, policy: ChampionPolicy) -> list[np.ndarray]:

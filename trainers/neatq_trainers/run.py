@@ -12,10 +12,10 @@ from torch import Tensor
 
 from neatq_torch.evolution import Population, Replacement
 from neatq_torch.genome import Genome
-from neatq_torch.learning import CandidatePolicy, Learner, LearningGenes
+from neatq_torch.learning import CandidatePolicy, Heads, Learner, LearningGenes
 from neatq_torch.network import PopulationNetwork
 from neatq_trainers.config import RunConfig
-from neatq_trainers.worlds import Heads, World
+from neatq_trainers.worlds import World
 
 EXPLORATION_STREAM = 5
 """Of the random numbers of exploration in generations: [seed, stream, generation, slot]."""
@@ -23,7 +23,19 @@ EXPLORATION_STREAM = 5
 State = dict[str, Any]
 
 
-class Policy(Protocol):
+class Kept(Protocol):
+    """What a checkpoint keeps."""
+
+    def state_dict(self) -> State:
+        """Everything that a checkpoint must keep."""
+        ...
+
+    def load_state_dict(self, state: State) -> None:
+        """Go on from `state_dict`."""
+        ...
+
+
+class Policy(Kept, Protocol):
     """What a run asks of a policy."""
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -32,14 +44,6 @@ class Policy(Protocol):
 
     def reset(self, newborn: Tensor) -> None:
         """Let newborns (mask [arenas, slots]) start afresh."""
-        ...
-
-    def state_dict(self) -> State:
-        """Everything that a checkpoint must keep."""
-        ...
-
-    def load_state_dict(self, state: State) -> None:
-        """Go on from `state_dict`."""
         ...
 
 
@@ -57,7 +61,7 @@ class Champion(NamedTuple):
     generation: int
 
 
-class Metrics(Protocol):
+class Metrics(Kept, Protocol):
     """Watches a run: makes its rows of numbers, and remembers its champions.
 
     Attributes:
@@ -78,14 +82,6 @@ class Metrics(Protocol):
 
     def steps(self, run: Run) -> int:
         """Steps so far of the arena that has fewest."""
-        ...
-
-    def state_dict(self) -> State:
-        """Everything that a checkpoint must keep."""
-        ...
-
-    def load_state_dict(self, state: State) -> None:
-        """Go on from `state_dict`."""
         ...
 
 
@@ -134,8 +130,13 @@ class Run:
         if self.config.generational:
             self.world.begin(self.generation)
             if isinstance(self.policy, CandidatePolicy):
-                seeds = _exploration_seeds(self.config.seeds, self.shape[1], self.generation)
-                self.policy.exploration.begin(seeds)
+                self.policy.exploration.begin([self._chances(seed) for seed in self.config.seeds])
+
+    def _chances(self, seed: int) -> list[int]:
+        """The seed of exploration of each slot of an arena, in this generation."""
+        words = seed, EXPLORATION_STREAM, self.generation
+        sequences = (np.random.SeedSequence([*words, slot]) for slot in range(self.shape[1]))
+        return [int(one.generate_state(1)[0]) for one in sequences]
 
     def champion(self, arena: int) -> Genome | None:
         """The fittest genome of an arena, with the weights that were learnt."""
@@ -160,13 +161,3 @@ class Run:
         if hasattr(self.world.env, "world_state"):
             state["world"] = self.world.env.world_state()
         return state if self.genes is None else state | {"genes": self.genes.state_dict()}
-
-
-def _exploration_seeds(seeds: range, slots: int, generation: int) -> list[list[int]]:
-    """That of each slot: of (seed of the arena, generation, slot)."""
-
-    def one(seed: int, slot: int) -> int:
-        words = [seed, EXPLORATION_STREAM, generation, slot]
-        return int(np.random.SeedSequence(words).generate_state(1)[0])
-
-    return [[one(seed, slot) for slot in range(slots)] for seed in seeds]

@@ -28,7 +28,7 @@ from neatq_trainers.callbacks import (
 )
 from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.effects import refuse_without_effect
-from neatq_trainers.folder import RunFolder
+from neatq_trainers.folder import RunFolder, load_run
 from neatq_trainers.loop import Stride
 from neatq_trainers.metrics import Row
 from neatq_trainers.run import Champion
@@ -180,7 +180,7 @@ def resume(
     Example:
         >>> resume("runs/wall-neatq-seed0", ticks=100_000)
     """
-    folder = RunFolder.open(path)
+    folder = load_run(path)
     state = folder.load(ticks=ticks, steps=steps, generations=generations)
     config, states = folder.config, state["runs"]
     facts = None if state["facts"] is None else EnvFacts.from_dict(state["facts"])

@@ -83,7 +83,7 @@ def _in_process(
     return LocalWorker(config, state, facts, callbacks)
 
 
-class ProcessWorker:
+class ProcessWorker(Remote):
     """Trains in a process of its own; see `LocalWorker`."""
 
     def __init__(
@@ -93,24 +93,20 @@ class ProcessWorker:
         facts: EnvFacts | None,
         callbacks: Sequence[Callback],
     ) -> None:
-        self._far = Remote(_in_process, config, state, facts, callbacks)
+        super().__init__(_in_process, config, state, facts, callbacks)
 
     def begin(self) -> None:
         """Ask for a stride."""
-        self._far.ask("finish")
+        self.ask("finish")
 
     def finish(self) -> Stride:
         """Wait for a stride."""
-        return self._far.answer()
+        return self.answer()
 
     def snapshot(self) -> Snapshot:
         """Ask for the state, and wait for it."""
-        self._far.ask("snapshot")
-        return self._far.answer()
-
-    def close(self) -> None:
-        """End the process."""
-        self._far.close()
+        self.ask("snapshot")
+        return self.answer()
 
 
 Worker = LocalWorker | ProcessWorker

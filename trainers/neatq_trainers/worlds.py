@@ -27,10 +27,9 @@ from neatq_envs.torchrl_env import ArenaEnv
 from neatq_envs.torchrl_rows import GymnasiumRows
 from neatq_torch.genome import Genome
 from neatq_torch.kinds import ConfigError, Kinds, import_own
-from neatq_torch.learning import CandidateHeads, DiscreteHeads
+from neatq_torch.learning import CandidateHeads, DiscreteHeads, Heads
 from neatq_torch.network import Evaluation, PopulationNetwork
 
-Heads = CandidateHeads | DiscreteHeads
 Range = tuple[float, float]
 
 

@@ -28,7 +28,7 @@ from neatq_experiments.seeds import Result, Results, Runs, SeedTask, run_seeds, 
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.arms import ARMS
 from neatq_trainers.config import RunConfig
-from neatq_trainers.folder import CHECKPOINT, METRICS, Columns, RunFolder
+from neatq_trainers.folder import CHECKPOINT, METRICS, Columns, RunFolder, load_run
 from neatq_trainers.train import LENGTHS
 from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig
 
@@ -205,7 +205,7 @@ def run_cell(
     folder = run_seeds(task, config)
     used = time.process_time() - began
     ran = (config.ticks or _done(folder, "steps")) - done
-    run, first = RunFolder.open(folder), task.seeds[0]
+    run, first = load_run(folder), task.seeds[0]
     metrics, arenas = run.metrics(), task.seeds[-1] - first + 1
     cpu = {"cpu_seconds": used / (ran / 1000 * arenas) if ran > 0 else None}
     return [{**read(run, metrics, seed - first), **cpu} for seed in task.seeds]
@@ -215,7 +215,7 @@ def _done(folder: Path, unit: str) -> int:
     """Ticks or steps that the run in a folder has, if there is one."""
     if not (folder / CHECKPOINT).exists():
         return 0
-    return RunFolder.open(folder).read()["done"][unit]
+    return load_run(folder).read()["done"][unit]
 
 
 def share_done(configs: Mapping[str, RunConfig], task: SeedTask) -> float:

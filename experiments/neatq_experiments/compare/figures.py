@@ -53,7 +53,7 @@ def draw_task(study: Study, task: str, behind: Behind | None = None) -> Figure:
     """
     figure = Figure(figsize=(8.5, 5), layout="constrained")
     axes = figure.add_subplot()
-    _draw_team(axes, study, task, behind)
+    _draw_mean_distance(axes, study, task, behind)
     axes.set_title(f"Task {task}: how far the team is from the flag")
     legend_beside(figure, *axes.get_legend_handles_labels())
     return figure
@@ -65,7 +65,7 @@ def draw_overview(study: Study, behind: Behind | None = None) -> Figure:
     row = figure.subplots(1, len(study.tasks), squeeze=False)[0]
     handles: dict[str, Artist] = {}
     for axes, task in zip(row, study.tasks, strict=True):
-        _draw_team(axes, study, task, behind)
+        _draw_mean_distance(axes, study, task, behind)
         axes.set_title(task)
         lines, labels = axes.get_legend_handles_labels()
         handles |= dict(zip(labels, lines, strict=True))
@@ -75,7 +75,7 @@ def draw_overview(study: Study, behind: Behind | None = None) -> Figure:
     return figure
 
 
-def _draw_team(axes: Axes, study: Study, task: str, behind: Behind | None) -> None:
+def _draw_mean_distance(axes: Axes, study: Study, task: str, behind: Behind | None) -> None:
     for arm in study.arms(task):
         _draw_arm(axes, study.curves(task, arm, "team"), colours_of(study.arms())[arm], arm)
     others = (behind or {}).get(task, {})

@@ -14,8 +14,9 @@ from neatq_experiments.compare.variants import summary_of
 
 HALVES_FIGURE, OVERVIEW_FIGURE = "newborn.png", "overview.png"
 DIFFERENCES_FIGURE = "differences.png"
-_NONE = "–"  # noqa: RUF001
-_LEGEND = f"""Distances are to the flag, in units; less is better. Square brackets hold 95 % \
+NO_VALUE = "–"  # noqa: RUF001
+_DISTANCE_LEGEND = f"""\
+Distances are to the flag, in units; less is better. Square brackets hold 95 % \
 bootstrap intervals over seeds.
 
 - **team**: mean distance of all robots over the last tenth of the run. IQM is the interquartile \
@@ -45,7 +46,7 @@ def reference_of(arms: Sequence[str]) -> str:
 
 def report(study: Study) -> str:
     """The whole report."""
-    parts = ["# Arms beside each other\n", _LEGEND]
+    parts = ["# Arms beside each other\n", _DISTANCE_LEGEND]
     if len(study.tasks) > 1:
         parts.append(f"![All tasks side by side]({OVERVIEW_FIGURE})\n")
     if len(study.arms()) > 1:
@@ -88,7 +89,7 @@ def _arm_row(study: Study, task: str, arm: str) -> list[str]:
         _median([one.stable_contact for one in outcomes]),
         f"{sum(one.champion_reaches for one in outcomes)} of {len(outcomes)}",
         f"{study.curves(task, arm, 'births').values[:, -1].mean():,.0f}",
-        f"{np.mean(cpu):.2f}" if cpu else _NONE,
+        f"{np.mean(cpu):.2f}" if cpu else NO_VALUE,
     ]
 
 
@@ -102,7 +103,9 @@ def differences_table(study: Study, task: str) -> str:
         ours = study.curves(task, arm, "team")
         apart = paired_differences(ours, base)
         better = statistics.probability_of_improvement(ours.last_tenth(), base.last_tenth())
-        difference = estimate_text(statistics.mean_estimate(apart), "+.1f") if apart.size else _NONE
+        difference = (
+            estimate_text(statistics.mean_estimate(apart), "+.1f") if apart.size else NO_VALUE
+        )
         rows.append([arm, str(apart.size), difference, estimate_text(better, ".2f")])
     heads = ["arm", "pairs", f"difference to {reference}", "probability of improvement"]
     return markdown_table(heads, rows)
@@ -157,7 +160,7 @@ def estimate_text(estimate: statistics.Estimate, form: str = ".1f") -> str:
 
 def _known_mean(values: NDArray[np.float64]) -> str:
     known = values[~np.isnan(values)]
-    return f"{known.mean():.1f}" if known.size else _NONE
+    return f"{known.mean():.1f}" if known.size else NO_VALUE
 
 
 def _median(ticks: Sequence[int | None]) -> str:
@@ -165,5 +168,5 @@ def _median(ticks: Sequence[int | None]) -> str:
     there = sum(tick is not None for tick in ticks)
     ordered = sorted(np.inf if tick is None else tick for tick in ticks)
     pair = ordered[(len(ordered) - 1) // 2], ordered[len(ordered) // 2]
-    median = _NONE if np.inf in pair else f"{sum(pair) / 2:,.0f}"
+    median = NO_VALUE if np.inf in pair else f"{sum(pair) / 2:,.0f}"
     return f"{median} ({there} of {len(ticks)})"

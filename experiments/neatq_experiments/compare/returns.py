@@ -18,7 +18,12 @@ from numpy.typing import NDArray
 from neatq_experiments.compare import statistics
 from neatq_experiments.compare.cells import Cell, digest, file_name
 from neatq_experiments.compare.figures import colours_of, legend_beside
-from neatq_experiments.compare.report import estimate_text, markdown_table, reference_of
+from neatq_experiments.compare.report import (
+    NO_VALUE,
+    estimate_text,
+    markdown_table,
+    reference_of,
+)
 from neatq_experiments.compare.tables import Tables, read_pair, write_table
 from neatq_experiments.compare.variants import summary_of
 from neatq_experiments.seeds import Result, Results
@@ -28,9 +33,9 @@ from neatq_trainers.folder import Columns, RunFolder
 RETURNS, RETURN_SEEDS = "returns.csv", "return_seeds.csv"
 MOMENTS = 200
 """Points of a line in a figure."""
-_NONE = "–"  # noqa: RUF001
 _FORM = ",.4g"
-_LEGEND = """Returns are sums of rewards of an episode; more is better. Square brackets hold 95 % \
+_RETURN_LEGEND = """\
+Returns are sums of rewards of an episode; more is better. Square brackets hold 95 % \
 bootstrap intervals over seeds.
 
 - **steps**: of the environment, by all genomes of a run together, mean over seeds. Evaluations \
@@ -187,7 +192,7 @@ def read_returns(folder: Path) -> Returns:
 
 def returns_report(returns: Returns) -> str:
     """The whole report, Markdown."""
-    parts = ["# Arms beside each other: returns of episodes\n", _LEGEND]
+    parts = ["# Arms beside each other: returns of episodes\n", _RETURN_LEGEND]
     for task in returns.tasks:
         picture = f"![Return of the champion over steps]({file_name(task)}.png)"
         parts += [f"## {task}\n\n{picture}\n", _arms_table(returns, task)]
@@ -208,7 +213,7 @@ def _arms_table(returns: Returns, task: str) -> str:
         for estimate in (statistics.iqm_estimate(scores), statistics.mean_estimate(scores)):
             cells.append(estimate_text(estimate, _FORM))
         cells.append(estimate_text(statistics.mean_estimate(fitness), _FORM))
-        cells.append(f"{np.mean(cpu):.2f}" if cpu else _NONE)
+        cells.append(f"{np.mean(cpu):.2f}" if cpu else NO_VALUE)
         digests = sorted({one.digest for one in outcomes})
         rows.append([*cells, ", ".join(f"`{one}`" for one in digests)])
     heads = "arm, what it is, seeds, steps, test return: IQM, test return: mean, mean fitness, "
@@ -228,7 +233,7 @@ def _differences_table(returns: Returns, task: str) -> str:
         apart = np.array([ours[seed] - theirs[seed] for seed in ours if seed in theirs])
         values = -_scores(returns, task, arm), -_scores(returns, task, reference)  # more is better
         better = estimate_text(statistics.probability_of_improvement(*values), ".2f")
-        text = _NONE
+        text = NO_VALUE
         if apart.size:
             text = estimate_text(statistics.mean_estimate(apart), f"+{_FORM}")
         rows.append([arm, str(apart.size), text, better])
