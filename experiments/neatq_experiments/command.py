@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +22,7 @@ from neatq_experiments import (
 from neatq_experiments.compare.command import CompareCommand, run_comparison
 from neatq_experiments.experiment import Experiment, run_again
 from neatq_torch.kinds import ConfigError
-from neatq_trainers.commands import keeping_what_is_finished, parse
+from neatq_trainers.commands import parse
 
 EXPERIMENTS: tuple[Experiment, ...] = (
     arena.ARENA,
@@ -59,10 +61,20 @@ class ReproduceCommand:
                 raise ConfigError(f"{name}: expected at least 1, got {value}")
 
 
+@contextmanager
+def _keeping_what_is_finished() -> Iterator[None]:
+    """Add to Ctrl-C that nothing is lost."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        advice = "; what is finished is kept: the same command goes on"
+        raise KeyboardInterrupt(advice) from error
+
+
 def reproduce_command(arguments: list[str]) -> None:
     """`neatq reproduce`."""
     command = parse(ReproduceCommand, "reproduce", arguments)
-    with keeping_what_is_finished():
+    with _keeping_what_is_finished():
         run_experiment(command)
 
 
@@ -70,7 +82,7 @@ def compare_command(arguments: list[str]) -> None:
     """`neatq compare`; it knows the study's variants, and draws the published curves."""
     variants.register()
     command = parse(CompareCommand, "compare", arguments)
-    with keeping_what_is_finished():
+    with _keeping_what_is_finished():
         run_comparison(command, published.curves_behind())
 
 

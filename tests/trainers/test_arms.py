@@ -10,9 +10,12 @@ anew:
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from neatq_experiments.compare.cells import digest
+from neatq_torch.learning import TDConfig
 from neatq_trainers.arms import ARMS, preset
 
 DIGESTS = {
@@ -60,3 +63,33 @@ def test_a_run_is_as_long_as_the_published_one(task: str) -> None:
 
 def test_other_worlds_have_lengths_of_their_own() -> None:
     assert preset("gym:CartPole-v1", "neat").length == ("generations", 50)
+
+
+def test_a_scenario_file_has_the_length_of_the_longest_task(tmp_path: Path) -> None:
+    (tmp_path / "mine.json").write_text('{"name": "mine"}')
+    assert preset(str(tmp_path / "mine.json"), "rtneat").length == ("ticks", 70_000)
+
+
+def test_where_lives_have_no_end_a_genome_is_judged_after_a_thousand_ticks() -> None:
+    endless = {"lifetime_ticks": 0}
+    own = preset("wall", "rtneat", env_kwargs=endless)
+    other = preset("wall", "described", env_kwargs=endless, population="rtneat")
+    assert own.population.minimum_life_ticks == other.population.minimum_life_ticks == 1000
+
+
+def test_where_lives_end_a_genome_is_judged_after_one() -> None:
+    short = {"lifetime_ticks": 300}
+    own = preset("wall", "rtneat", env_kwargs=short)
+    other = preset("wall", "described", env_kwargs=short, population="rtneat")
+    assert own.population.minimum_life_ticks == other.population.minimum_life_ticks == 300
+    assert preset("wall", "neat", env_kwargs=short).population.episodes == 1
+
+
+def test_another_learner_and_population_suit_a_gymnasium_task() -> None:
+    config = preset("gym:Pendulum-v1", "neat", population="rtneat", learner="td")
+    assert (config.learner.normalize_return, config.learner.discount) == (False, 0.99)
+    assert config.population.minimum_life_episodes == 2
+
+
+def test_another_learner_keeps_its_own_discount_in_the_arena() -> None:
+    assert preset("wall", "neat", learner="td").learner == TDConfig()

@@ -6,10 +6,11 @@ import multiprocessing
 import sys
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tensordict import TensorDictBase
 from torch import Tensor
+from torchrl.record.loggers import get_logger
 from tqdm import tqdm
 
 from neatq_trainers.metrics import DistanceRow, Row
@@ -64,16 +65,8 @@ class TorchRLLogger(Callback):
 
     def start(self, session: Session) -> None:
         """Open the logger that the configuration asks for; it writes to the folder `logs`."""
-        logs = str(session.folder.path / "logs")
-        self._logger: Any = None
-        if session.config.logger == "csv":
-            from torchrl.record.loggers.csv import CSVLogger
-
-            self._logger = CSVLogger("csv", log_dir=logs, video_format="pt")
-        elif session.config.logger == "tensorboard":
-            from torchrl.record.loggers.tensorboard import TensorboardLogger
-
-            self._logger = TensorboardLogger("tensorboard", log_dir=logs)
+        kind = session.config.logger or ""
+        self._logger = get_logger(kind, str(session.folder.path / "logs"), kind)
 
     def rows(self, session: Session, rows: Sequence[Row]) -> None:
         """Log the rows, by tick or by episodes."""

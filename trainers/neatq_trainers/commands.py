@@ -135,16 +135,6 @@ def list_command(arguments: list[str]) -> None:
 
 
 @contextmanager
-def keeping_what_is_finished() -> Iterator[None]:
-    """Add to Ctrl-C that nothing is lost."""
-    try:
-        yield
-    except KeyboardInterrupt as error:
-        advice = "; what is finished is kept: the same command goes on"
-        raise KeyboardInterrupt(advice) from error
-
-
-@contextmanager
 def _saying_how_to_go_on(out: Path) -> Iterator[None]:
     """Add to what stopped a run what to type to go on with it; it is in folder `out`."""
     try:

@@ -307,16 +307,11 @@ class ReturnMetrics:
 
 
 def _saved(champions: Sequence[Champion | None]) -> list[State | None]:
-    return [
-        None if one is None else {**one._asdict(), "genome": one.genome.to_dict()}
-        for one in champions
-    ]
+    return [one and {**one._asdict(), "genome": one.genome.to_dict()} for one in champions]
 
 
 def _loaded(saved: Sequence[State | None]) -> list[Champion | None]:
     return [
-        None
-        if one is None
-        else Champion(Genome.from_dict(one["genome"]), one["score"], one["generation"])
+        one and Champion(Genome.from_dict(one["genome"]), one["score"], one["generation"])
         for one in saved
     ]
