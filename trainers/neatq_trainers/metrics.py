@@ -311,7 +311,8 @@ def _saved(champions: Sequence[Champion | None]) -> list[State | None]:
 
 
 def _loaded(saved: Sequence[State | None]) -> list[Champion | None]:
-    return [
-        one and Champion(Genome.from_dict(one["genome"]), one["score"], one["generation"])
-        for one in saved
-    ]
+    return [one if one is None else _champion(**one) for one in saved]
+
+
+def _champion(genome: State, score: float, generation: int) -> Champion:
+    return Champion(Genome.from_dict(genome), score, generation)
