@@ -23,7 +23,7 @@ EXPLORATION_STREAM = 5
 State = dict[str, Any]
 
 
-class Kept(Protocol):
+class Stateful(Protocol):
     """What a checkpoint keeps."""
 
     def state_dict(self) -> State:
@@ -35,7 +35,7 @@ class Kept(Protocol):
         ...
 
 
-class Policy(Kept, Protocol):
+class Policy(Stateful, Protocol):
     """What a run asks of a policy."""
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -61,7 +61,7 @@ class Champion(NamedTuple):
     generation: int
 
 
-class Metrics(Kept, Protocol):
+class Metrics(Stateful, Protocol):
     """Watches a run: makes its rows of numbers, and remembers its champions.
 
     Attributes:
