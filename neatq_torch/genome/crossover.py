@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from neatq_torch.genome.genome import Genome
 from neatq_torch.genome.graph import node_levels
 from neatq_torch.genome.rules import LINK_FIELDS, NODE_FIELDS, GenomeError
+from neatq_torch.kinds import check_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +34,7 @@ class CrossoverConfig:
     copy_disabled: bool = False
 
     def __post_init__(self) -> None:
-        prob = self.inherit_disabled_prob
-        if not 0.0 <= prob <= 1.0:
-            raise ValueError(f"inherit_disabled_prob must be a probability in [0, 1], not {prob}.")
+        check_fields(self, inherit_disabled_prob="[0, 1]")
 
 
 def first_is_fitter(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numba import njit
@@ -19,6 +19,7 @@ from neatq_torch.genome.rules import (
     check_innovations,
     check_weights,
 )
+from neatq_torch.kinds import check_fields
 
 WeightScheme = Literal["opennero", "uniform"]
 
@@ -76,22 +77,13 @@ class MutationConfig:
     reenable_prob: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name.endswith("_prob") and not 0.0 <= value <= 1.0:
-                raise ValueError(f"{name}: expected a probability in [0, 1], got {value}.")
-            if name.endswith("_power") and not 0.0 <= value < np.inf:
-                raise ValueError(f"{name}: expected a finite number >= 0, got {value}.")
-            if name.endswith("_tries") and value < 1:
-                raise ValueError(f"{name}: expected at least 1, got {value}.")
-        cap = self.max_link_weight
-        for name, fine, wanted in (
-            ("split_old_below", self.split_old_below >= 0, ">= 0"),
-            ("max_link_weight", cap is None or cap > 0, "> 0, or None for no cap"),
-            ("weight_scheme", self.weight_scheme in get_args(WeightScheme), "opennero or uniform"),
-            ("split_weight_scale", np.isfinite(self.split_weight_scale), "a finite number"),
-        ):
-            if not fine:
-                raise ValueError(f"{name}: expected {wanted}, got {getattr(self, name)!r}.")
+        intervals = {"prob": "[0, 1]", "power": "[0, inf)", "tries": "[1, inf]"}
+        for name in vars(self):
+            ending = name.rpartition("_")[2]
+            if ending in intervals:
+                check_fields(self, **{name: intervals[ending]})
+        check_fields(self, weight_scheme=WeightScheme, max_link_weight="(0, inf]")
+        check_fields(self, split_old_below="[0, inf]", split_weight_scale="(-inf, inf)")
         activation_index(self.hidden_activation)
 
 

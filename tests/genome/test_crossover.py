@@ -167,5 +167,5 @@ def test_parents_with_other_inputs_or_meaning_cannot_mate(parents: Parents) -> N
 
 
 def test_a_probability_beyond_one_is_refused() -> None:
-    with pytest.raises(ValueError, match="inherit_disabled_prob must be a probability"):
+    with pytest.raises(ValueError, match=r"inherit_disabled_prob: expected \[0, 1\], got 1.5"):
         CrossoverConfig(inherit_disabled_prob=1.5)

@@ -298,12 +298,15 @@ def test_genomes_without_links_can_mutate(make_genome: Callable[..., Genome]) ->
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"add_node_prob": 1.2}, "add_node_prob: expected a probability"),
-        ({"weight_mutation_power": -1.0}, "weight_mutation_power: expected a finite number"),
+        ({"add_node_prob": 1.2}, r"add_node_prob: expected \[0, 1\], got 1.2"),
+        ({"weight_mutation_power": -1.0}, r"weight_mutation_power: expected \[0, inf\)"),
         ({"new_link_tries": 0}, "new_link_tries: expected at least 1"),
-        ({"max_link_weight": 0.0}, "max_link_weight: expected > 0, or None"),
-        ({"weight_scheme": "neat"}, "weight_scheme: expected"),
-        ({"split_weight_scale": float("nan")}, "split_weight_scale: expected a finite"),
+        ({"max_link_weight": 0.0}, r"max_link_weight: expected \(0, inf\] or None"),
+        ({"weight_scheme": "neat"}, "weight_scheme: expected 'opennero' or 'uniform'"),
+        (
+            {"split_weight_scale": float("nan")},
+            r"split_weight_scale: expected \(-inf, inf\), got nan",
+        ),
         ({"hidden_activation": "sin"}, "activation 'sin' is unknown"),
     ],
 )
