@@ -9,7 +9,6 @@ from neatq_torch.genome.crossover import (
 from neatq_torch.genome.distance import DistanceConfig, LinkTable, compatibility, first_compatible
 from neatq_torch.genome.genome import (
     Genome,
-    identical,
     load_genome,
     pack_genomes,
     save_genome,
@@ -36,7 +35,6 @@ __all__ = [
     "compatibility",
     "first_compatible",
     "first_is_fitter",
-    "identical",
     "initial_genome",
     "layered_genome",
     "load_genome",

@@ -202,14 +202,6 @@ class Genome:
             check_weights(self.link_innovation, column)
         return column
 
-    def same_structure(self, other: Genome) -> bool:
-        """Tell whether both differ in genome id and weights at most."""
-        schemas = self.observation_schema == other.observation_schema
-        return schemas and all(
-            np.array_equal(getattr(self, name), getattr(other, name))
-            for name in STRUCTURE | {"link_enabled"}
-        )
-
     def to_dict(self) -> dict[str, Any]:
         """Return the genome as JSON values; `from_dict` gives it back bit for bit."""
         columns = {name: getattr(self, name).tolist() for name in COLUMNS}
@@ -249,12 +241,6 @@ class Genome:
         except (ValueError, RecursionError) as error:
             raise GenomeError(f"the text is not valid JSON: {error}.") from error
         return cls.from_dict(data)
-
-
-def identical(a: Genome, b: Genome) -> bool:
-    """Tell whether two genomes are equal in every field, weights bit for bit."""
-    same_weights = a.link_weight.tobytes() == b.link_weight.tobytes()
-    return a.genome_id == b.genome_id and a.same_structure(b) and same_weights
 
 
 def save_genome(genome: Genome, path: str | Path) -> None:
