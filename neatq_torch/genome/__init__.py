@@ -4,7 +4,6 @@ from neatq_torch.genome.crossover import (
     CrossoverConfig,
     first_is_fitter,
     multipoint,
-    multipoint_average,
 )
 from neatq_torch.genome.distance import DistanceConfig, LinkTable, compatibility, first_compatible
 from neatq_torch.genome.genome import (
@@ -39,7 +38,6 @@ __all__ = [
     "layered_genome",
     "load_genome",
     "multipoint",
-    "multipoint_average",
     "mutate",
     "node_levels",
     "pack_genomes",

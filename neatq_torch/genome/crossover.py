@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numba import njit
@@ -89,9 +88,6 @@ def multipoint(
     if not config.keep_all_genes or matches == parents[other].link_innovation.size:
         return child
     return _with_extra_genes(child, parents[other]) or child
-
-
-multipoint_average = partial(multipoint, average=True)
 
 
 @njit(cache=True)

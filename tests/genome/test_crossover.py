@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,11 +13,11 @@ from neatq_torch.genome import (
     first_is_fitter,
     initial_genome,
     multipoint,
-    multipoint_average,
 )
 
 Parents = tuple[Genome, Genome]
 ALL, FITTER = CrossoverConfig(), CrossoverConfig(keep_all_genes=False)
+multipoint_average = partial(multipoint, average=True)
 CROSSOVERS = [multipoint, multipoint_average]
 
 

@@ -14,7 +14,6 @@ from neatq_torch.genome import (
     NodeKind,
     initial_genome,
     multipoint,
-    multipoint_average,
     mutate,
 )
 from neatq_torch.genome.genome import COLUMNS
@@ -49,8 +48,8 @@ def evolve(seed: int, steps: int, keep_all_genes: bool) -> list[Genome]:
     config = CrossoverConfig(keep_all_genes=keep_all_genes)
     for step in range(steps):
         first, second = (genomes[int(index)] for index in rng.integers(4, size=2))
-        cross = multipoint if rng.random() < 0.5 else multipoint_average
-        child = cross(first, second, bool(rng.random() < 0.5), config, rng)
+        average = rng.random() >= 0.5
+        child = multipoint(first, second, rng.random() < 0.5, config, rng, average=average)
         child = mutate(child, WILD, ledger, rng)
         genomes[step % 4] = child.replaced(genome_id=4 + step)
     return genomes
