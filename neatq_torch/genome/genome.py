@@ -279,15 +279,12 @@ def pack_genomes(genomes: Sequence[Genome]) -> dict[str, Any]:
     With them go `genome_id`, `nodes` and `links` int64 [genomes] (the last two: how many genes each
     has) and `observation_schema` (one text each).
     """
-    columns = {
-        name: np.concatenate([getattr(genome, name) for genome in genomes]) for name in COLUMNS
-    }
     return {
         "genome_id": np.array([genome.genome_id for genome in genomes], np.int64),
         "observation_schema": [genome.observation_schema for genome in genomes],
         "nodes": np.array([genome.node_id.size for genome in genomes], np.int64),
         "links": np.array([genome.link_weight.size for genome in genomes], np.int64),
-        **columns,
+        **{name: np.concatenate([getattr(one, name) for one in genomes]) for name in COLUMNS},
     }
 
 
