@@ -20,13 +20,10 @@ from neatq_torch.genome import Genome
 from neatq_torch.kinds import check_fields
 
 Numbering = Literal["generation", "run"]
-"""For how long equal mutations have equal numbers."""
+Representative = Literal["champion", "random"]
 
 Child = tuple[Genome, tuple[int, ...]]
 """A genome of the next generation, and the ids of its parents."""
-
-Representative = Literal["champion", "random"]
-"""Which member of a species newcomers are compared with."""
 
 
 @dataclass(frozen=True, kw_only=True)

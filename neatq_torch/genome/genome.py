@@ -23,6 +23,7 @@ from neatq_torch.genome.rules import (
     check_genome,
     check_weights,
     frozen_array,
+    index_of,
 )
 
 COLUMNS = NODE_FIELDS | LINK_FIELDS
@@ -222,11 +223,8 @@ class Genome:
         genes = msgspec.structs.astuple(file.nodes) + msgspec.structs.astuple(file.links)
         columns = dict(zip(COLUMNS, genes, strict=True))
         for name, words in WORDS.items():
-            for at, word in enumerate(columns[name]):
-                if word not in words:
-                    known = ", ".join(words)
-                    raise GenomeError(f"{name}[{at}]: {word!r} is unknown; choose one of {known}.")
-            columns[name] = [words.index(word) for word in columns[name]]
+            places = enumerate(columns[name])
+            columns[name] = [index_of(word, words, f"{name}[{at}]") for at, word in places]
         return cls(genome_id=file.genome_id, observation_schema=file.observation_schema, **columns)
 
     def to_json(self) -> str:

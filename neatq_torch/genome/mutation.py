@@ -13,11 +13,12 @@ from neatq_torch.genome.genome import Genome
 from neatq_torch.genome.graph import reaches
 from neatq_torch.genome.innovation import InnovationLedger
 from neatq_torch.genome.rules import (
+    ACTIVATIONS,
     LINK_FIELDS,
     NodeKind,
-    activation_index,
     check_innovations,
     check_weights,
+    index_of,
 )
 from neatq_torch.kinds import check_fields
 
@@ -77,14 +78,12 @@ class MutationConfig:
     reenable_prob: float = 0.0
 
     def __post_init__(self) -> None:
-        intervals = {"prob": "[0, 1]", "power": "[0, inf)", "tries": "[1, inf]"}
-        for name in vars(self):
-            ending = name.rpartition("_")[2]
-            if ending in intervals:
-                check_fields(self, **{name: intervals[ending]})
+        intervals = {"_prob": "[0, 1]", "_power": "[0, inf)", "_tries": "[1, inf]"}
+        for ending, interval in intervals.items():
+            check_fields(self, **{name: interval for name in vars(self) if name.endswith(ending)})
         check_fields(self, weight_scheme=WeightScheme, max_link_weight="(0, inf]")
         check_fields(self, split_old_below="[0, inf]", split_weight_scale="(-inf, inf)")
-        activation_index(self.hidden_activation)
+        index_of(self.hidden_activation, ACTIVATIONS, "activation")
 
 
 def mutate(
@@ -171,7 +170,7 @@ def add_node(
         return genome
     split = ledger.split(int(genome.link_innovation[chosen]), genome.node_id.tolist())
     weight = np.float32(genome.link_weight[chosen] * config.split_weight_scale)
-    activation = activation_index(config.hidden_activation)
+    activation = ACTIVATIONS.index(config.hidden_activation)
     links = _joined_links(
         genome,
         link_innovation=[split.in_innovation, split.out_innovation],

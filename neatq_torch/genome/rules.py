@@ -47,12 +47,11 @@ class GenomeError(ValueError):
     """A genome breaks a rule; the message names the gene or the key and how to mend it."""
 
 
-def activation_index(name: str) -> int:
-    """Return the index of an activation in `ACTIVATIONS`; GenomeError if it has none."""
-    if name not in ACTIVATIONS:
-        known = ", ".join(ACTIVATIONS)
-        raise GenomeError(f"activation {name!r} is unknown; choose one of {known}.")
-    return ACTIVATIONS.index(name)
+def index_of(word: str, words: tuple[str, ...], noun: str) -> int:
+    """Return the index of a word; GenomeError, which calls it by the noun, if it is unknown."""
+    if word not in words:
+        raise GenomeError(f"{noun} {word!r} is unknown; choose one of {', '.join(words)}.")
+    return words.index(word)
 
 
 def frozen_array(name: str, value: object, dtype: type[np.generic]) -> NDArray[Any]:

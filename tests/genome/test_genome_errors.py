@@ -98,11 +98,11 @@ BAD: dict[str, tuple[Edit, str]] = {
     "loop": (put("links", "source", 3, 5), "cycle 5 -> 5 .* must be marked recurrent"),
     "kind": (
         put("nodes", "kind", 4, "hiden"),
-        r"node_kind\[4\]: 'hiden' is unknown; choose one of input, bias, output, hidden",
+        r"node_kind\[4\] 'hiden' is unknown; choose one of input, bias, output, hidden",
     ),
     "activation": (
         put("nodes", "activation", 4, "sigmiod"),
-        r"node_activation\[4\]: 'sigmiod' is unknown; choose one of identity, sigmoid,",
+        r"node_activation\[4\] 'sigmiod' is unknown; choose one of identity, sigmoid,",
     ),
     "two biases": (put("nodes", "kind", 1, "bias"), r"nodes \[2, 3\] are all of kind bias"),
     "no output": (put("nodes", "kind", 3, "hidden"), "no output node"),
