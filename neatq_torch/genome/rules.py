@@ -101,7 +101,7 @@ def _check_nodes(genome: Genome) -> None:
     ordered = ids[genome.node_order]
     twice = "node id {} occurs more than once; node ids must be unique."
     _refuse(ordered[1:] == ordered[:-1], twice, ordered)
-    unknown = f"node {{}}: kind {{}} is none of {list(NodeKind)}."
+    unknown = f"node {{}}: kind {{}} is no NodeKind: these are below {len(NodeKind)}."
     _refuse(kinds >= len(NodeKind), unknown, ids, kinds)
     for kind in (NodeKind.INPUT, NodeKind.OUTPUT):
         if kind not in kinds:
@@ -110,7 +110,7 @@ def _check_nodes(genome: Genome) -> None:
     biases = ids[kinds == NodeKind.BIAS].tolist()
     if len(biases) > 1:
         raise GenomeError(f"nodes {biases} are all of kind bias; a genome has at most one.")
-    unknown = f"node {{}}: activation {{}} is no index into {ACTIVATIONS}."
+    unknown = f"node {{}}: activation {{}} is no index into the {len(ACTIVATIONS)} ACTIVATIONS."
     _refuse(activations >= len(ACTIVATIONS), unknown, ids, activations)
 
 
