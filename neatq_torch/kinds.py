@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import operator
 from collections.abc import Callable, Iterator
 from typing import Any, get_args
 
@@ -19,19 +20,19 @@ class ConfigError(ValueError):
     """
 
 
-def check_fields(config: object, **allowed: Any) -> None:
-    """Check fields of a configuration; one whose default is None may be None.
+def check_fields(config: Any, **allowed: Any) -> None:
+    """Check fields of a configuration; one whose type has `None` may be None.
 
     Args:
         config: A dataclass.
-        allowed: For each field an interval such as "(0, 1]" or "[1, inf]", or a `Literal`.
+        allowed: For each field an interval, such as "(0, 1]" or "[0, inf)", or a `Literal`.
 
     Raises:
         ConfigError: For the first field that has another value.
     """
     for name, range_ in allowed.items():
         value, words = getattr(config, name), get_args(range_)
-        optional = getattr(type(config), name, ...) is None
+        optional = "None" in str(config.__dataclass_fields__[name].type)
         if value is None and optional:
             continue
         if words:
@@ -44,12 +45,13 @@ def check_fields(config: object, **allowed: Any) -> None:
 
 
 def _within(value: float | None, interval: str) -> tuple[bool, str]:
-    """Whether a number is in "[least, most]" ("(" leaves out the least), in words, too."""
+    """Whether a number is in "[least, most]" ("(" and ")" leave out that end), in words, too."""
     least, most = interval[1:-1].split(", ")
-    expected = f"at least {least}" if most == "inf" else interval
-    if value is None or not float(least) <= value <= float(most):
-        return False, expected
-    return not (interval[0] == "(" and value == float(least)), expected
+    above = operator.gt if interval[0] == "(" else operator.ge
+    below = operator.lt if interval[-1] == ")" else operator.le
+    fits = value is not None and above(value, float(least)) and below(value, float(most))
+    plain = interval[0] == "[" and interval.endswith("inf]")
+    return fits, f"at least {least}" if plain else interval
 
 
 def import_own(noun: str, name: str, module: str) -> None:

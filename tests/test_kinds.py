@@ -18,13 +18,17 @@ class Settings:
     count: int = 1
     optional: int | None = None
     word: str = "one"
+    power: float = 0.0
+    cap: float | None = 3.0
 
     def check(self) -> None:
         check_fields(self, share="(0, 1]", count="[1, inf]", optional="[1, inf]", word=Words)
+        check_fields(self, power="[0, inf)", cap="(0, inf]")
 
 
 @pytest.mark.parametrize(
-    "fields", [{}, {"share": 1.0}, {"count": float("inf"), "optional": 1}, {"word": "two"}]
+    "fields",
+    [{}, {"share": 1.0}, {"count": float("inf"), "optional": 1}, {"word": "two"}, {"cap": None}],
 )
 def test_fields_within_their_limits_pass(fields: dict[str, Any]) -> None:
     Settings(**fields).check()
@@ -39,6 +43,8 @@ def test_fields_within_their_limits_pass(fields: dict[str, Any]) -> None:
         ({"count": 0}, "count: expected at least 1, got 0"),
         ({"count": None}, "count: expected at least 1, got None"),
         ({"optional": 0}, "optional: expected at least 1 or None, got 0"),
+        ({"power": float("inf")}, r"power: expected \[0, inf\), got inf"),
+        ({"cap": 0.0}, r"cap: expected \(0, inf\] or None, got 0.0"),
         ({"word": "three"}, "word: expected 'one' or 'two', got 'three'"),
     ],
 )

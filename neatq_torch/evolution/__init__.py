@@ -10,7 +10,7 @@ from neatq_torch.evolution.population import (
     population_kinds,
     register_population,
 )
-from neatq_torch.evolution.reproduction import AS_WRITTEN, NEAT_2002, OPENNERO, ReproductionConfig
+from neatq_torch.evolution.reproduction import NEAT_2002, OPENNERO, ReproductionConfig
 from neatq_torch.evolution.rtneat import RtNEAT, RtNEATConfig, interval_ticks
 from neatq_torch.evolution.species import Species, SpeciesConfig
 
@@ -19,7 +19,6 @@ register_population("neat", NEATConfig, NEAT)
 register_population("fixed", FixedConfig, FixedPopulation)
 
 __all__ = [
-    "AS_WRITTEN",
     "NEAT",
     "NEAT_2002",
     "OPENNERO",

@@ -5,7 +5,7 @@ Stanley & Miikkulainen 2002, and where the paper is silent their published code 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -20,13 +20,10 @@ from neatq_torch.genome import Genome
 from neatq_torch.kinds import check_fields
 
 Numbering = Literal["generation", "run"]
-"""For how long equal mutations have equal numbers."""
+Representative = Literal["champion", "random"]
 
 Child = tuple[Genome, tuple[int, ...]]
 """A genome of the next generation, and the ids of its parents."""
-
-Representative = Literal["champion", "random"]
-"""Which member of a species newcomers are compared with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +86,8 @@ class NEAT(Generational):
 
     Attributes:
         speciation: species and their threshold.
+        records: of the population (0) and of each of its species by number: the best fitness so
+            far, and its generation.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -98,7 +97,7 @@ class NEAT(Generational):
     """
 
     config: NEATConfig
-    kept = (*Generational.kept, "speciation")
+    kept = (*Generational.kept, "speciation", "records")
 
     def begin(self) -> None:
         """See `Population`."""
@@ -109,8 +108,7 @@ class NEAT(Generational):
             # Everybody is compatible. Finite, because a state is kept as JSON.
             self.speciation.threshold = float(np.finfo(np.float64).max)
         self.speciation.renew(self.genomes, [])
-        # The best fitness so far and its generation: of the population (0) and of its species.
-        self._records: dict[int, tuple[float | None, int]] = {0: (None, 0)}
+        self.records: list[list[Any]] = [[0, None, 0]]
 
     @property
     def species(self) -> list[Species]:
@@ -143,33 +141,34 @@ class NEAT(Generational):
         children: list[Child] = []
         for species, count in zip(self.species, counts.tolist(), strict=True):
             children += self._children(species, count, fitness)
-        removed = [genome.genome_id for genome in self.genomes]
+        removed = self.genomes
         self._settle([genome for genome, _ in children])
         slots = enumerate(zip(children, removed, strict=True))
-        return [Replacement(slot, one, gone, parents) for slot, ((one, parents), gone) in slots]
+        return [Replacement(slot, one, old.genome_id, ids) for slot, ((one, ids), old) in slots]
 
     def _note(self, champions: NDArray[np.float64]) -> None:
         """Bring the records of the population and of all [species] up to date."""
-        old, self._records = self._records, {}
+        old, self.records = {key: record for key, *record in self.records}, []
         keys = [0, *(one.species_id for one in self.species)]
         for key, fitness in zip(keys, [float(champions.max()), *champions.tolist()], strict=True):
             best, reached = old.get(key, (None, 0))
-            better = best is None or fitness > best
-            self._records[key] = (fitness, self.generation) if better else (best, reached)
+            if best is None or fitness > best:
+                best, reached = fitness, self.generation
+            self.records.append([key, best, reached])
 
     def _offspring_counts(
         self, shares: NDArray[np.float64], champions: NDArray[np.float64]
     ) -> NDArray[np.int64]:
         """How many genomes come from each of [species]; `shares`, their fitness, is written."""
-        reached = np.array([self._records[one.species_id][1] for one in self.species])
+        reached = np.array([reached for _, _, reached in self.records[1:]])
         shares[self.generation - reached >= self.config.stagnation_generations] = 0.0
-        waited = self.generation - self._records[0][1]
+        waited = self.generation - self.records[0][2]
         if waited >= self.config.refocus_generations or not shares.any():
             # Equal shares for the two best, who are given time again.
             best = np.argsort(-champions, kind="stable")[:2]
             shares = np.isin(np.arange(champions.size), best).astype(np.float64)
-            for key in (0, *(self.species[one].species_id for one in best)):
-                self._records[key] = self._records[key][0], self.generation
+            for one in (0, *(best + 1)):
+                self.records[one][2] = self.generation
         return offspring_counts(shares, len(self.genomes))
 
     def _children(self, species: Species, count: int, fitness: NDArray[np.float64]) -> list[Child]:
@@ -209,16 +208,6 @@ class NEAT(Generational):
             self.ledger.forget()
         self.genomes = genomes
         self.go_on()
-
-    def state_dict(self) -> dict[str, Any]:
-        """See `Population`."""
-        records = [[key, *record] for key, record in self._records.items()]
-        return super().state_dict() | {"records": records}
-
-    def load_state(self, state: Mapping[str, Any]) -> None:
-        """See `Population`."""
-        super().load_state(state)
-        self._records = {key: (best, reached) for key, best, reached in state["records"]}
 
 
 def shared_fitness(fitness: NDArray[np.float64], species: Sequence[Species]) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from neatq_torch.evolution.trials import checked
+from neatq_torch.evolution.trials import Kept, checked
 
 NEIGHBOURS = 15
 """Nearest behaviours from which the distance is taken, as Lehman & Stanley (2011) have it."""
@@ -16,7 +16,7 @@ ARCHIVE_EVERY = 10
 """Of all behaviours one in so many stays in the archive for ever."""
 
 
-class Novelty:
+class Novelty(Kept):
     """The behaviours of one population, and an archive of earlier ones (Lehman & Stanley 2011).
 
     The behaviour of a robot is what is handed in for the tick at which a trial of it closes. Every
@@ -28,6 +28,8 @@ class Novelty:
         archive: float64 [archived, dimensions], the oldest first.
         seen: behaviours so far.
     """
+
+    kept = ("latest", "archive", "seen")
 
     def __init__(self, slots: int) -> None:
         self.latest = np.full((slots, 0), np.nan)
@@ -64,12 +66,8 @@ class Novelty:
         nearest = np.sort(distance)[:, : min(NEIGHBOURS, distance.shape[1] - 1)]
         return nearest.mean(-1) if nearest.size else np.zeros(slots.size)
 
-    def state_dict(self) -> dict[str, Any]:
-        """Copies of the arrays, and what was seen."""
-        return {"latest": self.latest.copy(), "archive": self.archive.copy(), "seen": self.seen}
-
     def load_state(self, state: Mapping[str, Any]) -> None:
-        """Take over what `state_dict` gave."""
+        """See `Kept`; the shapes are those of the state."""
         self.latest = np.array(state["latest"], dtype=np.float64)
         archive = np.array(state["archive"], dtype=np.float64)
         self.archive = archive.reshape(len(archive), self.latest.shape[1])

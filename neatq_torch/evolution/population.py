@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from neatq_torch.evolution.reproduction import NEAT_2002, Parent, offspring
 from neatq_torch.evolution.species import Species
-from neatq_torch.evolution.trials import checked, restore, state_of, weighted
+from neatq_torch.evolution.trials import Kept, checked, weighted
 from neatq_torch.genome import (
     Genome,
     InnovationLedger,
@@ -23,6 +23,9 @@ from neatq_torch.genome import (
     unpack_genomes,
 )
 from neatq_torch.kinds import Kinds, check_fields
+
+Data = ArrayLike | None
+"""An array, or nothing where it does not matter."""
 
 Start = Literal["minimal", "layered", "random"]
 """What founders look like: no hidden nodes; one hidden layer; a random topology."""
@@ -49,7 +52,7 @@ class Replacement(NamedTuple):
     parents: tuple[int, ...]
 
 
-class Population(ABC):
+class Population(Kept, ABC):
     """The genomes of one arena: slot i holds that of robot i.
 
     One of your own derives from this class, or from `FixedPopulation` as examples/map_elites.py.
@@ -72,7 +75,7 @@ class Population(ABC):
     """
 
     least = 1
-    kept: tuple[str, ...] = ("births", "next_genome_id")
+    kept = ("births", "next_genome_id")
 
     def __init__(
         self,
@@ -185,12 +188,7 @@ class Population(ABC):
 
     @abstractmethod
     def record(
-        self,
-        rewards: ArrayLike,
-        done: ArrayLike | None = None,
-        *,
-        behaviour: ArrayLike | None = None,
-        counts: ArrayLike | None = None,
+        self, rewards: ArrayLike, done: Data = None, *, behaviour: Data = None, counts: Data = None
     ) -> None:
         """Let all live through some ticks; how they are cut into batches is no matter.
 
@@ -224,7 +222,7 @@ class Population(ABC):
             "genomes": pack_genomes(self.genomes),
             "rng": self.rng.bit_generator.state,
             "ledger": self.ledger.state_dict(),
-            **state_of(self, self.kept),
+            **super().state_dict(),
         }
 
     @classmethod
@@ -241,10 +239,6 @@ class Population(ABC):
     @abstractmethod
     def begin(self) -> None:
         """Make what a kind of population needs beside its founders; draws no chance."""
-
-    def load_state(self, state: Mapping[str, Any]) -> None:
-        """Take over what `state_dict` gave, beyond genomes, chance and ledger."""
-        restore(self, self.kept, state)
 
     def breed(
         self, slots: Sequence[int], fitness: NDArray[np.float64], *, interspecies: bool
@@ -293,12 +287,7 @@ class Generational(Population):
         return self.generation + self.due()
 
     def record(
-        self,
-        rewards: ArrayLike,
-        done: ArrayLike | None = None,
-        *,
-        behaviour: ArrayLike | None = None,
-        counts: ArrayLike | None = None,
+        self, rewards: ArrayLike, done: Data = None, *, behaviour: Data = None, counts: Data = None
     ) -> None:
         """See `Population`; `behaviour` and `counts` make no difference here."""
         slots, dimensions = len(self.genomes), self.reward_weights.size

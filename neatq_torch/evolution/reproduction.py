@@ -19,7 +19,6 @@ from neatq_torch.genome import (
     compatibility,
     first_is_fitter,
     multipoint,
-    multipoint_average,
     mutate,
 )
 from neatq_torch.kinds import check_fields
@@ -70,17 +69,10 @@ NEAT_2002 = ReproductionConfig(
 
 The paper names neither the size of a weight mutation nor a cap: 2.5, the cap of 8 and the shares of
 the two crossovers are those of the authors' published code. Weights mutate as in that code, too,
-which is also OpenNERO's; `AS_WRITTEN` has the paper's words instead. Two more things are in the
-code only: small genomes split their old links first, without which XOR takes nearly half more
-evaluations, and a gene that is copied disabled stays so. Recurrent links are off; a task that needs
-memory raises `recurrent_link_prob`.
+which is also OpenNERO's. Two more things are in the code only: small genomes split their old links
+first, without which XOR takes nearly half more evaluations, and a gene that is copied disabled
+stays so. Recurrent links are off; a task that needs memory raises `recurrent_link_prob`.
 """
-
-AS_WRITTEN = replace(
-    NEAT_2002, mutation=replace(NEAT_2002.mutation, weight_scheme="uniform", link_weights_prob=0.8)
-)
-"""`NEAT_2002` with weights that mutate as the paper says: those of 80 % of the offspring, nine
-of ten perturbed and the others new. Some runs of double pole balancing then get lost."""
 
 
 class Parent(NamedTuple):
@@ -108,18 +100,16 @@ def offspring(
         child = mutate(parents[0].genome, config.mutation, ledger, rng)
         return child.unchecked(genome_id=genome_id)
     first, second = parents
-    cross = multipoint if rng.random() < config.multipoint_prob else multipoint_average
+    genomes = first.genome, second.genome
+    average = rng.random() >= config.multipoint_prob
     genes = replace(config.crossover, keep_all_genes=True) if interspecies else config.crossover
-    fitter = first_is_fitter(first.genome, second.genome, first.fitness, second.fitness)
-    child = cross(first.genome, second.genome, fitter, genes, rng)
-    if rng.random() >= config.mate_only_prob or _are_twins(first.genome, second.genome, config):
+    fitter = first_is_fitter(*genomes, first.fitness, second.fitness)
+    child = multipoint(*genomes, fitter, genes, rng, average=average)
+    mated_only = rng.random() < config.mate_only_prob
+    same = first.genome.genome_id == second.genome.genome_id
+    if not mated_only or same or compatibility(*genomes, config.distance) == 0.0:
         child = mutate(child, config.mutation, ledger, rng)
     return child.unchecked(genome_id=genome_id)
-
-
-def _are_twins(first: Genome, second: Genome, config: ReproductionConfig) -> bool:
-    same = first.genome_id == second.genome_id
-    return same or compatibility(first, second, config.distance) == 0.0
 
 
 def roulette(shares: ArrayLike, rng: np.random.Generator) -> int:
@@ -148,7 +138,9 @@ def choose_parents(
     members, and those that are not eligible [slots] fitness 0 [slots].
     """
     able = [one.members[eligible[one.members]] for one in species]
-    chosen = roulette([_mean_or_zero(fitness[slots]) for slots in able], rng)
+    # Their means, 0 of nobody, as `mean` has them at three times the cost.
+    means = [np.add.reduce(fitness[slots]) / max(slots.size, 1) for slots in able]
+    chosen = roulette(means, rng)
     home = species[chosen]
     home.rank(fitness)
     pool = able[chosen] if able[chosen].size else home.members
@@ -161,8 +153,3 @@ def choose_parents(
         mates = others[int(rng.integers(len(others)))].members
         return (first, int(mates[fitness[mates].argmax()])), True
     return (first, int(pool[roulette(shares, rng)])), False
-
-
-def _mean_or_zero(values: NDArray[np.float64]) -> float:
-    """The mean as `values.mean()` does, at a third of its cost; 0 if there are none."""
-    return float(np.add.reduce(values) / values.size) if values.size else 0.0

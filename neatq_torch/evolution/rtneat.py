@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neatq_torch.evolution.novelty import Novelty, mixed
-from neatq_torch.evolution.population import Population, Replacement
+from neatq_torch.evolution.population import Data, Population, Replacement
 from neatq_torch.evolution.reproduction import OPENNERO, ReproductionConfig, choose_parents
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
 from neatq_torch.evolution.trials import Trials, relative_fitness, weighted
@@ -154,12 +154,7 @@ class RtNEAT(Population):
         return self.speciation.species
 
     def record(
-        self,
-        rewards: ArrayLike,
-        done: ArrayLike | None = None,
-        *,
-        behaviour: ArrayLike | None = None,
-        counts: ArrayLike | None = None,
+        self, rewards: ArrayLike, done: Data = None, *, behaviour: Data = None, counts: Data = None
     ) -> None:
         """See `Population`; `done` matters to trials of episodes, `behaviour` to novelty only."""
         seen = None if self.novelty is None else self.novelty.checked(behaviour)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from neatq_torch.evolution.trials import Kept
 from neatq_torch.genome import DistanceConfig, Genome, LinkTable, compatibility, first_compatible
 from neatq_torch.kinds import ConfigError, check_fields
 
@@ -50,16 +51,18 @@ class Species:
         self.members = self.members[np.argsort(-fitness[self.members], kind="stable")]
 
 
-class Speciation:
+class Speciation(Kept):
     """All species of one population, in the order they were founded."""
+
+    kept = ("threshold", "founded", "offspring")
 
     def __init__(self, config: SpeciesConfig, distance: DistanceConfig) -> None:
         self.config = config
         self.distance = distance
         self.species: list[Species] = []
         self.threshold = config.threshold
-        self._founded = 0
-        self._offspring = 0
+        self.founded = 0
+        self.offspring = 0
         self._links = LinkTable()
         self._written: dict[int, Genome] = {}
 
@@ -95,8 +98,8 @@ class Speciation:
         Every `adjust_every` of them the threshold moves, and every slot, one after the other in
         the `order` [slots], to the first species that it is compatible with.
         """
-        self._offspring += 1
-        if self._offspring % self.config.adjust_every:
+        self.offspring += 1
+        if self.offspring % self.config.adjust_every:
             return
         self.move_threshold()
         groups, order = [one.members for one in self.species], np.asarray(order, dtype=np.int64)
@@ -131,24 +134,18 @@ class Speciation:
         self.species = [species for species in self.species if species.members.size]
 
     def _found(self, members: ArrayLike) -> Species:
-        self._founded += 1
-        self.species.append(Species(self._founded, np.array(members, dtype=np.int64)))
+        self.founded += 1
+        self.species.append(Species(self.founded, np.array(members, dtype=np.int64)))
         return self.species[-1]
 
     def state_dict(self) -> dict[str, Any]:
-        """Species, threshold and counters as JSON values."""
-        return {
-            "species": [[one.species_id, one.members.tolist()] for one in self.species],
-            "threshold": self.threshold,
-            "founded": self._founded,
-            "offspring": self._offspring,
-        }
+        """See `Kept`; the species, too."""
+        species = [[one.species_id, one.members.tolist()] for one in self.species]
+        return {"species": species, **super().state_dict()}
 
     def load_state(self, state: Mapping[str, Any]) -> None:
-        """Take over what `state_dict` gave."""
+        """See `Kept`; the species, too."""
+        super().load_state(state)
         species = state["species"]
         self.species = [Species(key, np.array(members, np.int64)) for key, members in species]
         self._written.clear()
-        self.threshold = state["threshold"]
-        self._founded = state["founded"]
-        self._offspring = state["offspring"]

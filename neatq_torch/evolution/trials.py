@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from copy import deepcopy
 from itertools import pairwise
 from typing import Any
@@ -11,7 +11,38 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-class Trials:
+class Kept:
+    """Something with a state: the attributes that `kept` names.
+
+    These are numbers, arrays whose shape does not change, and what has such methods itself.
+    """
+
+    kept: tuple[str, ...] = ()
+
+    def state_dict(self) -> dict[str, Any]:
+        """The state as JSON values and copies of numpy arrays."""
+        state: dict[str, Any] = {}
+        for name in self.kept:
+            own = getattr(self, name)
+            state[name] = own.state_dict() if hasattr(own, "state_dict") else deepcopy(own)
+        return state
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """Take over what `state_dict` gave; ValueError if an array there has another shape."""
+        for name in self.kept:
+            own, value = getattr(self, name), state[name]
+            if hasattr(own, "load_state"):
+                own.load_state(value)
+                continue
+            if isinstance(own, np.ndarray):
+                value = np.array(value, dtype=own.dtype)
+                if value.shape != own.shape:
+                    shapes = f"{list(own.shape)}, got {list(value.shape)}"
+                    raise ValueError(f"state of {name}: expected the shape {shapes}.")
+            setattr(self, name, value)
+
+
+class Trials(Kept):
     """Ages, reward sums of the running trials and averages over closed ones.
 
     A trial closes whenever the age of its slot reaches a multiple of `trial_ticks`; its value is
@@ -34,7 +65,7 @@ class Trials:
     """
 
     ARRAYS = ("age_ticks", "sums", "averages", "latest", "closed", "running", "counted", "ended")
-    KEPT = (*ARRAYS, "total")
+    kept = (*ARRAYS, "total")
 
     def __init__(
         self, slots: int, dimensions: int, trial_ticks: int, trial_episodes: int | None = None
@@ -95,39 +126,6 @@ class Trials:
         """Start a new life in a slot: nothing of the old one is left."""
         for name in self.ARRAYS:
             getattr(self, name)[slot] = 0
-
-    def state_dict(self) -> dict[str, Any]:
-        """Copies of the arrays, and the total."""
-        return state_of(self, self.KEPT)
-
-    def load_state(self, state: Mapping[str, Any]) -> None:
-        """Take over what `state_dict` gave; ValueError if the population is of another size."""
-        restore(self, self.KEPT, state)
-
-
-def state_of(owner: object, names: Iterable[str]) -> dict[str, Any]:
-    """These attributes as a state: copies of arrays, and of parts what their `state_dict` gives."""
-    state: dict[str, Any] = {}
-    for name in names:
-        value = getattr(owner, name)
-        state[name] = value.state_dict() if hasattr(value, "state_dict") else deepcopy(value)
-    return state
-
-
-def restore(owner: object, names: Iterable[str], state: Mapping[str, Any]) -> None:
-    """Take over what `state_of` gave; ValueError if an array of one's own has another shape."""
-    for name in names:
-        own, value = getattr(owner, name), state[name]
-        if hasattr(own, "load_state"):
-            own.load_state(value)
-        elif isinstance(own, np.ndarray):
-            value = np.array(value, dtype=own.dtype)
-            if value.shape != own.shape:
-                shapes = f"{list(own.shape)}, got {list(value.shape)}"
-                raise ValueError(f"state of {name}: expected the shape {shapes}.")
-            setattr(owner, name, value)
-        else:
-            setattr(owner, name, value)
 
 
 def checked(

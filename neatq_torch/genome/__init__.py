@@ -4,12 +4,10 @@ from neatq_torch.genome.crossover import (
     CrossoverConfig,
     first_is_fitter,
     multipoint,
-    multipoint_average,
 )
 from neatq_torch.genome.distance import DistanceConfig, LinkTable, compatibility, first_compatible
 from neatq_torch.genome.genome import (
     Genome,
-    identical,
     load_genome,
     pack_genomes,
     save_genome,
@@ -36,12 +34,10 @@ __all__ = [
     "compatibility",
     "first_compatible",
     "first_is_fitter",
-    "identical",
     "initial_genome",
     "layered_genome",
     "load_genome",
     "multipoint",
-    "multipoint_average",
     "mutate",
     "node_levels",
     "pack_genomes",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numba import njit
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from neatq_torch.genome.genome import Genome
 from neatq_torch.genome.graph import node_levels
 from neatq_torch.genome.rules import LINK_FIELDS, NODE_FIELDS, GenomeError
+from neatq_torch.kinds import check_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +33,7 @@ class CrossoverConfig:
     copy_disabled: bool = False
 
     def __post_init__(self) -> None:
-        prob = self.inherit_disabled_prob
-        if not 0.0 <= prob <= 1.0:
-            raise ValueError(f"inherit_disabled_prob must be a probability in [0, 1], not {prob}.")
+        check_fields(self, inherit_disabled_prob="[0, 1]")
 
 
 def first_is_fitter(
@@ -90,9 +88,6 @@ def multipoint(
     if not config.keep_all_genes or matches == parents[other].link_innovation.size:
         return child
     return _with_extra_genes(child, parents[other]) or child
-
-
-multipoint_average = partial(multipoint, average=True)
 
 
 @njit(cache=True)

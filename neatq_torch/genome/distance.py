@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from neatq_torch.genome.genome import Genome
+from neatq_torch.kinds import check_fields
 
 SMALL_GENOME_LINKS = 20
 
@@ -38,10 +39,7 @@ class DistanceConfig:
     normalised: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("disjoint", "excess", "weight"):
-            value = getattr(self, name)
-            if not 0.0 <= value < np.inf:
-                raise ValueError(f"{name} must be a finite number >= 0, not {value}.")
+        check_fields(self, disjoint="[0, inf)", excess="[0, inf)", weight="[0, inf)")
 
     @cached_property
     def coefficients(self) -> Coefficients:

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Literal, Self
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -22,17 +23,51 @@ from neatq_torch.genome.rules import (
     check_genome,
     check_weights,
     frozen_array,
+    index_of,
 )
 
 COLUMNS = NODE_FIELDS | LINK_FIELDS
 STRUCTURE = COLUMNS.keys() - {"link_weight", "link_enabled"}
 FIELDS = frozenset({"genome_id", "observation_schema", *COLUMNS})
 
-GENOME_FORMAT = "neatq-genome"
-GENOME_VERSION = 1
-TABLES = {"node": NODE_FIELDS, "link": LINK_FIELDS}
-KEYS = ("format", "version", "genome_id", "observation_schema", "nodes", "links")
 WORDS = {"node_kind": tuple(kind.name.lower() for kind in NodeKind), "node_activation": ACTIVATIONS}
+"""Names of what numbers stand for, as a file has them."""
+
+Id = Annotated[int, msgspec.Meta(ge=-(2**31), lt=2**31)]
+Marking = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
+
+
+class NodeColumns(msgspec.Struct, forbid_unknown_fields=True):
+    """The nodes in a file, in the order of `NODE_FIELDS`."""
+
+    id: list[Id]
+    kind: list[str]
+    activation: list[str]
+
+
+class LinkColumns(msgspec.Struct, forbid_unknown_fields=True):
+    """The links in a file, in the order of `LINK_FIELDS`."""
+
+    innovation: list[Marking]
+    source: list[Id]
+    target: list[Id]
+    weight: list[float]
+    enabled: list[bool]
+    recurrent: list[bool]
+
+
+class GenomeFile(msgspec.Struct, forbid_unknown_fields=True):
+    """A genome as JSON values: a list per column, so that large populations are small on disk.
+
+    Float32 weights are written as float64 numbers, which JSON keeps exactly.
+    """
+
+    format: Literal["neatq-genome"]
+    version: Literal[1]
+    genome_id: int
+    observation_schema: str
+    nodes: NodeColumns
+    links: LinkColumns
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -168,38 +203,29 @@ class Genome:
             check_weights(self.link_innovation, column)
         return column
 
-    def same_structure(self, other: Genome) -> bool:
-        """Tell whether both differ in genome id and weights at most."""
-        schemas = self.observation_schema == other.observation_schema
-        return schemas and all(
-            np.array_equal(getattr(self, name), getattr(other, name))
-            for name in STRUCTURE | {"link_enabled"}
-        )
-
     def to_dict(self) -> dict[str, Any]:
-        """Return the genome as JSON values; `from_dict` gives it back bit for bit.
-
-        One list per column instead of one object per gene: large populations stay small on disk.
-        Float32 weights are written as float64 numbers, which JSON keeps exactly.
-        """
-        columns = {name: getattr(self, name).tolist() for name in NODE_FIELDS | LINK_FIELDS}
+        """Return the genome as JSON values; `from_dict` gives it back bit for bit."""
+        columns = {name: getattr(self, name).tolist() for name in COLUMNS}
         for name, words in WORDS.items():
             columns[name] = [words[number] for number in columns[name]]
-        return {
-            "format": GENOME_FORMAT,
-            "version": GENOME_VERSION,
-            "genome_id": self.genome_id,
-            "observation_schema": self.observation_schema,
-            **{
-                f"{table}s": {name.removeprefix(f"{table}_"): columns[name] for name in fields}
-                for table, fields in TABLES.items()
-            },
-        }
+        nodes = NodeColumns(*(columns[name] for name in NODE_FIELDS))
+        links = LinkColumns(*(columns[name] for name in LINK_FIELDS))
+        header = "neatq-genome", 1, self.genome_id, self.observation_schema
+        return msgspec.to_builtins(GenomeFile(*header, nodes, links))
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
         """Return the genome that `to_dict` wrote; GenomeError names a bad key or gene."""
-        return cls(**_decoded(data))
+        try:
+            file = msgspec.convert(data, GenomeFile)
+        except msgspec.ValidationError as error:
+            raise GenomeError(f"expected a neatq-genome of version 1: {error}.") from error
+        genes = msgspec.structs.astuple(file.nodes) + msgspec.structs.astuple(file.links)
+        columns = dict(zip(COLUMNS, genes, strict=True))
+        for name, words in WORDS.items():
+            places = enumerate(columns[name])
+            columns[name] = [index_of(word, words, f"{name}[{at}]") for at, word in places]
+        return cls(genome_id=file.genome_id, observation_schema=file.observation_schema, **columns)
 
     def to_json(self) -> str:
         """Return the genome as one line of JSON."""
@@ -213,12 +239,6 @@ class Genome:
         except (ValueError, RecursionError) as error:
             raise GenomeError(f"the text is not valid JSON: {error}.") from error
         return cls.from_dict(data)
-
-
-def identical(a: Genome, b: Genome) -> bool:
-    """Tell whether two genomes are equal in every field, weights bit for bit."""
-    same_weights = a.link_weight.tobytes() == b.link_weight.tobytes()
-    return a.genome_id == b.genome_id and a.same_structure(b) and same_weights
 
 
 def save_genome(genome: Genome, path: str | Path) -> None:
@@ -257,96 +277,23 @@ def pack_genomes(genomes: Sequence[Genome]) -> dict[str, Any]:
     With them go `genome_id`, `nodes` and `links` int64 [genomes] (the last two: how many genes each
     has) and `observation_schema` (one text each).
     """
-    columns = {
-        name: np.concatenate([getattr(genome, name) for genome in genomes]) for name in COLUMNS
-    }
     return {
         "genome_id": np.array([genome.genome_id for genome in genomes], np.int64),
         "observation_schema": [genome.observation_schema for genome in genomes],
         "nodes": np.array([genome.node_id.size for genome in genomes], np.int64),
         "links": np.array([genome.link_weight.size for genome in genomes], np.int64),
-        **columns,
+        **{name: np.concatenate([getattr(one, name) for one in genomes]) for name in COLUMNS},
     }
 
 
 def unpack_genomes(packed: Mapping[str, Any]) -> list[Genome]:
     """Return the genomes that `pack_genomes` was given, bit for bit; each is checked again."""
-    columns = {
+    columns: dict[str, Any] = {
         name: np.split(packed[name], np.cumsum(packed[counts])[:-1])
         for counts, names in (("nodes", NODE_FIELDS), ("links", LINK_FIELDS))
         for name in names
     }
-    return [
-        Genome(
-            genome_id=int(genome_id),
-            observation_schema=packed["observation_schema"][index],
-            **{name: parts[index] for name, parts in columns.items()},
-        )
-        for index, genome_id in enumerate(packed["genome_id"])
-    ]
-
-
-def _decoded(data: object) -> dict[str, Any]:
-    """Return the fields of a Genome from what `to_dict` made."""
-    if not isinstance(data, Mapping):
-        raise GenomeError(f"a genome is a JSON object, not {_named_type(data)}.")
-    for key, wanted in (("format", GENOME_FORMAT), ("version", GENOME_VERSION)):
-        value = data.get(key)
-        if type(value) is not type(wanted) or value != wanted:
-            raise GenomeError(f"key {key!r} is {value!r}, but this program reads {wanted!r} only.")
-    _check_keys("genome", data, KEYS)
-    found: dict[str, Any] = {}
-    for key, expected in (("genome_id", int), ("observation_schema", str)):
-        value = found[key] = data[key]
-        if type(value) is not expected:
-            raise GenomeError(f"key {key!r} must be {expected.__name__}, not {_named_type(value)}.")
-    for table, types in TABLES.items():
-        columns = [name.removeprefix(f"{table}_") for name in types]
-        _check_keys(f"{table}s", data[f"{table}s"], columns)
-        for column in columns:
-            found[f"{table}_{column}"] = _decode_column(table, column, data[f"{table}s"])
-    return found
-
-
-def _check_keys(name: str, data: object, keys: Sequence[str]) -> None:
-    if not isinstance(data, Mapping):
-        raise GenomeError(f"{name} must be a JSON object, not {_named_type(data)}.")
-    for wrong, what in ((set(keys) - set(data), "missing"), (set(data) - set(keys), "unknown")):
-        if wrong:
-            raise GenomeError(f"{name}: key {min(wrong)!r} is {what}; expected {', '.join(keys)}.")
-
-
-def _decode_column(table: str, column: str, columns: Mapping[str, Any]) -> NDArray[Any]:
-    where, values = f"{table}s.{column}", columns[column]
-    genes = columns["id" if table == "node" else "innovation"]
-    if not isinstance(values, list) or not isinstance(genes, list):
-        raise GenomeError(f"{where} must be a list, not {_named_type(values)}.")
-    if len(values) != len(genes):
-        raise GenomeError(f"{where} has {len(values)} entries for {len(genes)} {table}s.")
-    dtype, numbers = TABLES[table][f"{table}_{column}"], []
-    for gene, value in zip(genes, values, strict=True):
-        try:
-            numbers.append(_decode_value(value, dtype, WORDS.get(f"{table}_{column}")))
-        except GenomeError as error:
-            name = f"node {gene}" if table == "node" else f"link with innovation {gene}"
-            raise GenomeError(f"{name}: {column} {error}") from error
-    return np.array(numbers, dtype=dtype)
-
-
-def _decode_value(value: Any, dtype: type[np.generic], words: tuple[str, ...] | None) -> np.generic:
-    types = {np.float32: (float, int), np.bool_: (bool,)}
-    expected = (str,) if words else types.get(dtype, (int,))
-    if type(value) not in expected:
-        raise GenomeError(f"must be {expected[0].__name__}, not {value!r}.")
-    if words and value not in words:
-        raise GenomeError(f"{value!r} is unknown; choose one of {', '.join(words)}.")
-    try:
-        # A weight beyond float32 becomes infinite here and is named by the genome's own check.
-        with np.errstate(over="ignore"):
-            return dtype(words.index(value) if words else value)
-    except OverflowError as error:
-        raise GenomeError(f"{value} is too large for {dtype.__name__}.") from error
-
-
-def _named_type(value: object) -> str:
-    return f"{type(value).__name__} {value!r}"[:60]
+    columns["genome_id"] = [int(one) for one in packed["genome_id"]]
+    columns["observation_schema"] = packed["observation_schema"]
+    genomes = zip(*columns.values(), strict=True)
+    return [Genome(**dict(zip(columns, fields, strict=True))) for fields in genomes]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from neatq_torch.genome.genome import Genome
 from neatq_torch.genome.mutation import MutationConfig, mutated_weights
-from neatq_torch.genome.rules import NodeKind, activation_index
+from neatq_torch.genome.rules import ACTIVATIONS, NodeKind, index_of
 
 START_WEIGHTS = MutationConfig(weight_mutation_power=1.0)
 """Start weights are one mutation of zeros by power 1, as in OpenNERO."""
@@ -135,7 +135,7 @@ def _genome(
             f"a genome needs at least 1 input and 1 output, not {inputs} and {outputs}."
         )
     nodes, links = inputs + bias + outputs + hidden, sources.size
-    code = activation_index(activation)
+    code = index_of(activation, ACTIVATIONS, "activation")
     return Genome(
         genome_id=genome_id,
         observation_schema=observation_schema,

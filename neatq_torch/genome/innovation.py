@@ -55,7 +55,8 @@ class InnovationLedger:
         """Return number and weight for a new link; `weight` counts only if it is the first."""
         key = (int(source), int(target), bool(recurrent))
         if key not in self._links:
-            self._links[key] = LinkInnovation(self._take_innovation(), float(weight))
+            self._links[key] = LinkInnovation(self.next_innovation, float(weight))
+            self.next_innovation += 1
         return self._links[key]
 
     def split(self, link_innovation: int, taken_node_ids: Collection[int]) -> Split:
@@ -68,8 +69,9 @@ class InnovationLedger:
         for split in splits:
             if split.node_id not in taken_node_ids:
                 return split
-        split = Split(self.next_node_id, self._take_innovation(), self._take_innovation())
+        split = Split(self.next_node_id, self.next_innovation, self.next_innovation + 1)
         self.next_node_id += 1
+        self.next_innovation += 2
         splits.append(split)
         return split
 
@@ -96,7 +98,3 @@ class InnovationLedger:
         for link, *split in state["splits"]:
             ledger._splits.setdefault(link, []).append(Split(*split))
         return ledger
-
-    def _take_innovation(self) -> int:
-        self.next_innovation += 1
-        return self.next_innovation - 1

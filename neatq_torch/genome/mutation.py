@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numba import njit
@@ -13,12 +13,14 @@ from neatq_torch.genome.genome import Genome
 from neatq_torch.genome.graph import reaches
 from neatq_torch.genome.innovation import InnovationLedger
 from neatq_torch.genome.rules import (
+    ACTIVATIONS,
     LINK_FIELDS,
     NodeKind,
-    activation_index,
     check_innovations,
     check_weights,
+    index_of,
 )
+from neatq_torch.kinds import check_fields
 
 WeightScheme = Literal["opennero", "uniform"]
 
@@ -76,23 +78,12 @@ class MutationConfig:
     reenable_prob: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name.endswith("_prob") and not 0.0 <= value <= 1.0:
-                raise ValueError(f"{name}: expected a probability in [0, 1], got {value}.")
-            if name.endswith("_power") and not 0.0 <= value < np.inf:
-                raise ValueError(f"{name}: expected a finite number >= 0, got {value}.")
-            if name.endswith("_tries") and value < 1:
-                raise ValueError(f"{name}: expected at least 1, got {value}.")
-        cap = self.max_link_weight
-        for name, fine, wanted in (
-            ("split_old_below", self.split_old_below >= 0, ">= 0"),
-            ("max_link_weight", cap is None or cap > 0, "> 0, or None for no cap"),
-            ("weight_scheme", self.weight_scheme in get_args(WeightScheme), "opennero or uniform"),
-            ("split_weight_scale", np.isfinite(self.split_weight_scale), "a finite number"),
-        ):
-            if not fine:
-                raise ValueError(f"{name}: expected {wanted}, got {getattr(self, name)!r}.")
-        activation_index(self.hidden_activation)
+        intervals = {"_prob": "[0, 1]", "_power": "[0, inf)", "_tries": "[1, inf]"}
+        for ending, interval in intervals.items():
+            check_fields(self, **{name: interval for name in vars(self) if name.endswith(ending)})
+        check_fields(self, weight_scheme=WeightScheme, max_link_weight="(0, inf]")
+        check_fields(self, split_old_below="[0, inf]", split_weight_scale="(-inf, inf)")
+        index_of(self.hidden_activation, ACTIVATIONS, "activation")
 
 
 def mutate(
@@ -179,7 +170,7 @@ def add_node(
         return genome
     split = ledger.split(int(genome.link_innovation[chosen]), genome.node_id.tolist())
     weight = np.float32(genome.link_weight[chosen] * config.split_weight_scale)
-    activation = activation_index(config.hidden_activation)
+    activation = ACTIVATIONS.index(config.hidden_activation)
     links = _joined_links(
         genome,
         link_innovation=[split.in_innovation, split.out_innovation],

@@ -5,7 +5,6 @@ Each breach is a GenomeError that names the gene.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
@@ -48,12 +47,11 @@ class GenomeError(ValueError):
     """A genome breaks a rule; the message names the gene or the key and how to mend it."""
 
 
-def activation_index(name: str) -> int:
-    """Return the index of an activation in `ACTIVATIONS`; GenomeError if it has none."""
-    if name not in ACTIVATIONS:
-        known = ", ".join(ACTIVATIONS)
-        raise GenomeError(f"activation {name!r} is unknown; choose one of {known}.")
-    return ACTIVATIONS.index(name)
+def index_of(word: str, words: tuple[str, ...], noun: str) -> int:
+    """Return the index of a word; GenomeError, which calls it by the noun, if it is unknown."""
+    if word not in words:
+        raise GenomeError(f"{noun} {word!r} is unknown; choose one of {', '.join(words)}.")
+    return words.index(word)
 
 
 def frozen_array(name: str, value: object, dtype: type[np.generic]) -> NDArray[Any]:
@@ -70,16 +68,17 @@ def frozen_array(name: str, value: object, dtype: type[np.generic]) -> NDArray[A
         raise GenomeError(f"{name} cannot be read as {dtype.__name__}: {error}.") from error
     # Weights may be rounded to float32; ids and flags must arrive as they were.
     if array.dtype != dtype and dtype is not np.float32 and array.size:
-        wrong = f"which is no {dtype.__name__}."
-        _refuse(converted != array, lambda at: f"{name}[{at}] is {array[at]}, {wrong}")
+        text = f"{name}[{{}}] is {{}}, which is no {dtype.__name__}."
+        _refuse(converted != array, text, np.arange(array.size), array)
     converted.flags.writeable = False
     return converted
 
 
-def _refuse(wrong: NDArray[np.bool_], say: Callable[[int], str]) -> None:
-    """Raise a GenomeError if an entry is wrong; `say` tells what about the first one's index."""
+def _refuse(wrong: NDArray[np.bool_], text: str, *columns: NDArray[Any]) -> None:
+    """Raise a GenomeError if an entry is wrong; the first one's values in columns fill the text."""
     if wrong.any():
-        raise GenomeError(say(int(wrong.argmax())))
+        first = wrong.argmax()
+        raise GenomeError(text.format(*(column[first] for column in columns)))
 
 
 def check_genome(genome: Genome) -> None:
@@ -100,14 +99,10 @@ def check_genome(genome: Genome) -> None:
 def _check_nodes(genome: Genome) -> None:
     ids, kinds, activations = genome.node_id, genome.node_kind, genome.node_activation
     ordered = ids[genome.node_order]
-    _refuse(
-        ordered[1:] == ordered[:-1],
-        lambda at: f"node id {ordered[at]} occurs more than once; node ids must be unique.",
-    )
-    _refuse(
-        kinds >= len(NodeKind),
-        lambda at: f"node {ids[at]}: kind {kinds[at]} is none of {list(NodeKind)}.",
-    )
+    twice = "node id {} occurs more than once; node ids must be unique."
+    _refuse(ordered[1:] == ordered[:-1], twice, ordered)
+    unknown = f"node {{}}: kind {{}} is no NodeKind: these are below {len(NodeKind)}."
+    _refuse(kinds >= len(NodeKind), unknown, ids, kinds)
     for kind in (NodeKind.INPUT, NodeKind.OUTPUT):
         if kind not in kinds:
             missing = kind.name.lower()
@@ -115,20 +110,15 @@ def _check_nodes(genome: Genome) -> None:
     biases = ids[kinds == NodeKind.BIAS].tolist()
     if len(biases) > 1:
         raise GenomeError(f"nodes {biases} are all of kind bias; a genome has at most one.")
-    _refuse(
-        activations >= len(ACTIVATIONS),
-        lambda at: f"node {ids[at]}: activation {activations[at]} is no index into {ACTIVATIONS}.",
-    )
+    unknown = f"node {{}}: activation {{}} is no index into the {len(ACTIVATIONS)} ACTIVATIONS."
+    _refuse(activations >= len(ACTIVATIONS), unknown, ids, activations)
 
 
 def check_weights(innovation: NDArray[np.int64], weight: NDArray[np.float32]) -> None:
     """Raise a GenomeError naming the first link whose weight is not finite."""
     if not _all_finite(weight):
-        rule = "is not finite; weights are finite float32 numbers."
-        _refuse(
-            ~np.isfinite(weight),
-            lambda at: f"link with innovation {innovation[at]}: weight {weight[at]} {rule}",
-        )
+        text = "link with innovation {}: weight {} is not a finite float32 number."
+        _refuse(~np.isfinite(weight), text, innovation, weight)
 
 
 @njit(cache=True)
@@ -143,51 +133,35 @@ def _all_finite(weight: NDArray[np.float32]) -> bool:
 
 def check_innovations(innovation: NDArray[np.int64]) -> None:
     """Raise a GenomeError naming the first link whose innovation does not rise."""
-
-    def say(at: int) -> str:
-        before, after = innovation[at], innovation[at + 1]
-        if before == after:
-            return f"link with innovation {before} occurs more than once."
-        rule = "links must be sorted by innovation."
-        return f"link with innovation {after} follows the one with {before}; {rule}"
-
-    _refuse(innovation[1:] <= innovation[:-1], say)
+    before, after = innovation[:-1], innovation[1:]
+    _refuse(before == after, "link with innovation {} occurs more than once.", after)
+    text = "link with innovation {} follows the one with {}; links must be sorted by innovation."
+    _refuse(before > after, text, after, before)
 
 
 def _check_ends(genome: Genome) -> None:
-    numbers = genome.link_innovation
+    link = "link with innovation {}: "
     for end, ids in (("source", genome.link_source), ("target", genome.link_target)):
-        _refuse(
-            genome.node_id[genome.node_index(ids)] != ids,
-            lambda at, end=end, ids=ids: (
-                f"link with innovation {numbers[at]}: {end} {ids[at]} is not a node of the genome; "
-                "add the node or remove the link."
-            ),
-        )
-    _refuse(
-        genome.node_kind[genome.target_index] <= NodeKind.BIAS,
-        lambda at: (
-            f"link with innovation {numbers[at]}: target {genome.link_target[at]} is an input or "
-            "bias node; links enter outputs and hidden nodes only."
-        ),
-    )
+        text = f"{link}{end} {{}} is not a node of the genome; add the node or remove the link."
+        unknown = genome.node_id[genome.node_index(ids)] != ids
+        _refuse(unknown, text, genome.link_innovation, ids)
+    text = f"{link}target {{}} is an input or bias node; links enter outputs and hidden nodes only."
+    into_sensor = genome.node_kind[genome.target_index] <= NodeKind.BIAS
+    _refuse(into_sensor, text, genome.link_innovation, genome.link_target)
 
 
 def _check_links_once(genome: Genome) -> None:
     nodes = genome.node_id.size
     key = (genome.source_index * nodes + genome.target_index) * 2 + genome.link_recurrent
     ordered = np.sort(key)
-
-    def say(at: int) -> str:
-        same = np.flatnonzero(key == ordered[at])
+    twice = ordered[1:] == ordered[:-1]
+    if twice.any():
+        same = np.flatnonzero(key == ordered[twice.argmax()])
         ends = f"from {genome.link_source[same[0]]} to {genome.link_target[same[0]]}"
-        recurrent = bool(genome.link_recurrent[same[0]])
-        return (
+        raise GenomeError(
             f"links with innovations {genome.link_innovation[same].tolist()} all lead {ends} with "
-            f"recurrent={recurrent}; keep one of them."
+            f"recurrent={genome.link_recurrent[same[0]]}; keep one of them."
         )
-
-    _refuse(ordered[1:] == ordered[:-1], say)
 
 
 def _check_acyclic(genome: Genome) -> None:

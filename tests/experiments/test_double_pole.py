@@ -15,6 +15,7 @@ from neatq_envs.double_pole import PAPER_START_RAD, observe, resting_poles, step
 from neatq_experiments import double_pole
 from neatq_experiments.balance import BIAS, balance
 from neatq_experiments.double_pole import (
+    AS_WRITTEN,
     DOUBLE_POLE,
     PUBLISHED_EVALUATIONS,
     SETTINGS,
@@ -182,3 +183,9 @@ def test_every_arm_is_in_an_experiment_and_has_published_figures() -> None:
         == set(SETTINGS)
         == set(PUBLISHED_EVALUATIONS)
     )
+
+
+def test_weights_mutate_as_written_in_the_paper() -> None:
+    written = AS_WRITTEN.mutation
+    assert (written.link_weights_prob, written.weight_replace_prob) == (0.8, 0.1)
+    assert written.weight_scheme == "uniform"
