@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from neatq_envs.gymnasium_task import PREFIX
-from neatq_envs.scenario import TASKS, Scenario, find_scenario
+from neatq_envs.scenario import TASKS, find_scenario
 from neatq_torch.evolution import FixedConfig, NEATConfig, RtNEATConfig, population_kinds
 from neatq_torch.kinds import ConfigError
 from neatq_torch.learning import (
@@ -257,24 +257,12 @@ def _length(task: str, world: WorldConfig, given: Mapping[str, int | None]) -> d
 def _world(task: str, arm: Arm, kwargs: Mapping[str, Any]) -> WorldConfig:
     if task.startswith(PREFIX):
         return GymnasiumConfig(id=task.removeprefix(PREFIX), kwargs=dict(kwargs), slots=arm.slots)
-    if task in TASKS or Path(task).suffix == ".json":
-        return ArenaConfig(scenario=_scenario(task, arm, kwargs))
-    if find_env(task):
+    known = task in TASKS or Path(task).suffix == ".json"
+    if not known and find_env(task):
         return EnvConfig(name=task, kwargs=dict(kwargs))
-    if Path(task).exists():
-        return ArenaConfig(scenario=_scenario(task, arm, kwargs))
-    known = ", ".join((*TASKS, *env_kinds))
+    if known or Path(task).exists():
+        return ArenaConfig(scenario=find_scenario(task, defaults=arm.senses, changes=kwargs))
     raise ConfigError(
-        f"task: expected {known}, gym:ID for a Gymnasium environment, or the path of a scenario "
-        f"file (.json); got {task!r}"
+        f"task: expected {', '.join((*TASKS, *env_kinds))}, gym:ID for a Gymnasium environment, "
+        f"or the path of a scenario file (.json); got {task!r}"
     )
-
-
-def _scenario(task: str, arm: Arm, changes: Mapping[str, Any]) -> Scenario:
-    return find_scenario(task, defaults=arm.senses, changes=changes)
-
-
-def overview() -> str:
-    """The arms, a line each."""
-    width = max(map(len, ARMS))
-    return "".join(f"  {name:{width}}  {arm.summary}\n" for name, arm in ARMS.items())

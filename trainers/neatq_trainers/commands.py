@@ -124,14 +124,14 @@ def list_command(arguments: list[str]) -> None:
     """`neatq list`."""
     if arguments:
         raise ConfigError(f"list: expected no arguments, got {' '.join(arguments)}")
-    own = "".join(f"  {name}\n" for name in env_kinds)
-    print(f"tasks:\n  {', '.join(TASKS)}, a scenario file, gym:ID\n{own}arms:\n{arms.overview()}")
+    tables = {"arms": {name: arm.summary for name, arm in arms.ARMS.items()}}
     for title, kinds in (("populations", population_kinds), ("learners", learner_kinds)):
-        width = max(map(len, kinds))
+        tables[title] = {name: kinds.config(name).__doc__ or "" for name in kinds}
+    print(f"tasks:\n  {', '.join((*TASKS, *env_kinds))}, a scenario file, gym:ID")
+    for title, table in tables.items():
         print(f"{title}:")
-        for name in kinds:
-            says = (kinds.config(name).__doc__ or "").partition("\n")[0]
-            print(f"  {name:{width}}  {says}")
+        for name, says in table.items():
+            print(f"  {name:10}  {says.partition(chr(10))[0]}")
 
 
 @contextmanager
