@@ -61,11 +61,6 @@ class GymnasiumTask:
     id: str
     kwargs: Mapping[str, Any] = field(default_factory=dict)
 
-    @staticmethod
-    def parse(task: str, texts: Sequence[str] = ()) -> GymnasiumTask:
-        """Read "gym:ID" and texts as `assignments` reads them."""
-        return GymnasiumTask(id=task.removeprefix(PREFIX), kwargs=assignments(texts))
-
     def make(self, **more: Any) -> gymnasium.Env[Any, Any]:
         """Make the environment, with further arguments of `gymnasium.make`.
 
