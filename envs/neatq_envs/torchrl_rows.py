@@ -14,7 +14,7 @@ from torchrl.data import Bounded, Unbounded
 from neatq_envs.episodes import TRAINING, EpisodeRows, Starts
 from neatq_envs.gymnasium_rows import EnvRows
 from neatq_envs.gymnasium_task import Interface
-from neatq_envs.observation_scaling import LARGEST, ObservationScaling
+from neatq_envs.random_play import LARGEST, ObservationScaling
 from neatq_envs.torchrl_env import (
     DONE,
     OBSERVATION,

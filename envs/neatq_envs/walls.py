@@ -39,12 +39,10 @@ class Wall:
     angle_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        require_fields(Wall, vars(self), "wall")
-        require(
-            self.width > 0 and self.height > 0,
-            f"wall at ({self.x}, {self.y}): width and height must be greater than 0, "
-            f"got {self.width} and {self.height}",
-        )
+        require_fields(Wall, vars(self))
+        for name in ("width", "height"):
+            value = getattr(self, name)
+            require(value > 0, f"{name}: must be greater than 0, got {value}")
 
     @staticmethod
     def between(start: tuple[float, float], end: tuple[float, float], *, thickness: float) -> Wall:

@@ -22,7 +22,7 @@ from neatq_envs.episodes import (
 )
 from neatq_envs.gymnasium_rows import DealtRows, EnvRows, SingleRows, VectorRows, make_rows
 from neatq_envs.gymnasium_task import GymnasiumTask, Interface
-from neatq_envs.observation_scaling import ObservationScaling
+from neatq_envs.random_play import ObservationScaling
 from neatq_envs.torchrl_rows import GymnasiumRows
 
 SHAPE = (2, 3)

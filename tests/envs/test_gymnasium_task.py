@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import json
 import re
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 from gymnasium import spaces
 
 from neatq_envs.gymnasium_task import GymnasiumTask, Interface, TaskError, assignments
-from neatq_envs.observation_scaling import ObservationScaling
+from neatq_envs.random_play import EnvFacts, ObservationScaling
 
 
 def refusal(task: str, *env_kwargs: str) -> str:
@@ -120,7 +121,8 @@ def test_sane_bounds_scale_and_other_entries_are_standardised() -> None:
     # 1.5 is how far the first went from 1; the last went 1, which is less than a fifth of 10.
     assert scaling.scale.tolist() == [1.5, 2, 0.5, 1, 2]
     assert scaling(np.array([4.0, 11, 0, 700, -3])).tolist() == [2, 2, -1, 10, -1.5]
-    again = ObservationScaling.from_dict(scaling.to_dict())
+    facts = EnvFacts(scaling, value_range=(0.0, 1.0), renewed=False, repeatable=True)
+    again = EnvFacts.from_dict(json.loads(json.dumps(facts.to_dict()))).scaling
     assert again(seen).tobytes() == scaling(seen).tobytes()
 
 

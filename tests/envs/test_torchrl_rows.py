@@ -18,7 +18,7 @@ from torchrl.envs.utils import check_env_specs
 from neatq_envs.episodes import EpisodeError, episode_seeds
 from neatq_envs.gymnasium_rows import SingleRows, VectorRows, make_rows
 from neatq_envs.gymnasium_task import GymnasiumTask, Interface, assignments
-from neatq_envs.observation_scaling import ObservationScaling
+from neatq_envs.random_play import ObservationScaling
 from neatq_envs.torchrl_rows import GymnasiumRows
 
 
