@@ -101,14 +101,15 @@ def draw_paths(
     figure = Figure(figsize=(7.4, 6.0 * scenario.height / scenario.width + 1.0), layout="tight")
     axes = figure.add_subplot()
     _draw_field(axes, scenario)
-    segments, ticks = _last_lives(scenario, poses)
-    lines = LineCollection(list(segments), cmap="viridis", linewidths=0.7, alpha=0.65)
-    lines.set_array(ticks)
+    ways = [_last_life(scenario, way) for way in poses[..., :2].swapaxes(0, 1)]
+    segments = [segment for way in ways for segment in np.stack([way[:-1], way[1:]], axis=1)]
+    lines = LineCollection(segments, cmap="viridis", linewidths=0.7, alpha=0.65)
+    lines.set_array(np.concatenate([np.arange(len(way) - 1.0) for way in ways]))
     axes.add_collection(lines)
     figure.colorbar(lines, ax=axes, label="ticks since the life began", shrink=0.85)
     axes.plot(*poses[-1, :, :2].T, ".", color=_rgb(TICK), ms=4, zorder=4, label="robot at the end")
     if highlight is not None:
-        way, colour = _last_life(scenario, poses[:, highlight, :2]), _rgb(CHAMPION_RGB)
+        way, colour = ways[highlight], _rgb(CHAMPION_RGB)
         axes.plot(way[:, 0], way[:, 1], color=colour, lw=2.5, zorder=5, label=highlight_label)
         axes.plot(*way[-1], "o", color=colour, mec="black", ms=7, zorder=6)
     star = {"marker": "*", "ls": "", "ms": 16, "zorder": 7}
@@ -132,16 +133,6 @@ def _draw_field(axes: Axes, scenario: Scenario) -> None:
     for number, corners in enumerate(_walls(scenario)):
         wall = Polygon(corners, color=_rgb(WALL), zorder=3, label="" if number else "wall")
         axes.add_patch(wall)
-
-
-def _last_lives(scenario: Scenario, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All segments [segments, 2, 2] of the last lives and the tick of each."""
-    segments, ticks = [np.zeros((0, 2, 2))], [np.zeros(0)]
-    for robot in range(poses.shape[1]):
-        way = _last_life(scenario, poses[:, robot, :2])
-        segments.append(np.stack([way[:-1], way[1:]], axis=1))
-        ticks.append(np.arange(len(way) - 1.0))
-    return np.concatenate(segments), np.concatenate(ticks)
 
 
 def _last_life(scenario: Scenario, way: np.ndarray) -> np.ndarray:
