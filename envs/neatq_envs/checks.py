@@ -21,9 +21,11 @@ def require(fine: bool, message: str) -> None:
 
 def require_known(where: str, word: object, known: Collection[str], what: str = "value") -> None:
     """Require one of the known words; the error suggests the one that was probably meant."""
-    close = difflib.get_close_matches(str(word), known, n=1)
-    meant = f'did you mean "{close[0]}"? ' if close else ""
-    require(word in known, f'{where}: unknown {what} "{word}"; {meant}known: {", ".join(known)}')
+    if word not in known:
+        close = difflib.get_close_matches(str(word), known, n=1)
+        meant = f'did you mean "{close[0]}"? ' if close else ""
+        known_words = f"{meant}known: {', '.join(known)}"
+        raise ScenarioError(f'{where}: unknown {what} "{word}"; {known_words}')
 
 
 def is_number(value: object) -> bool:
@@ -32,7 +34,7 @@ def is_number(value: object) -> bool:
 
 
 def require_fields(kind: type, values: Any, where: str = "") -> None:
-    """Require an object of a dataclass's fields: texts, truths and numbers as they are annotated.
+    """Require an object of fields of a dataclass, with values of the types that they are given.
 
     `where` is the path by which messages call the object; the outermost one has none.
     """
@@ -41,12 +43,16 @@ def require_fields(kind: type, values: Any, where: str = "") -> None:
     require(isinstance(values, Mapping), words)
     for name, value in values.items():
         require_known(owner, name, types, "key")
+        typed = str(types[name])
+        numbers = isinstance(value, Mapping) and all(map(is_number, value.values()))
         words, fits = {
             "str": ("a text", isinstance(value, str)),
             "bool": ("true or false", isinstance(value, bool)),
             "float": ("a number (finite)", is_number(value)),
             "int": ("a whole number, 0 or more", type(value) is int and value >= 0),
-        }.get(str(types[name]), ("", True))
+            "Mapping[str, float]": ("an object of numbers (finite)", numbers),
+            "list": ("a list", isinstance(value, list | tuple)),
+        }.get("list" if typed.endswith("...]") else typed, ("", True))
         path = f"{where}.{name}" if where else name
         require(fits, f"{path}: expected {words}, got {value!r}")
 

@@ -39,8 +39,6 @@ class FlagSchedule:
 
     def __post_init__(self) -> None:
         require_fields(FlagSchedule, vars(self))
-        words = f"positions: expected a list of [x, y], got {self.positions!r}"
-        require(isinstance(self.positions, list | tuple), words)
         places = tuple(pair(f"positions[{i}]", at) for i, at in enumerate(self.positions))
         object.__setattr__(self, "positions", places)
         require(

@@ -16,9 +16,8 @@ from PIL import Image, ImageDraw
 from neatq_envs.physics import border_walls
 from neatq_envs.scenario import Scenario
 
-GROUND, WALL, SPAWN = (248, 247, 242), (70, 74, 82), (226, 232, 240)
-ROBOT, CHAMPION_RGB, FLAG = (86, 133, 190), (240, 140, 0), (205, 38, 38)
-TICK = (20, 30, 50)
+GROUND, WALL, SPAWN, TICK = "#f8f7f2", "#464a52", "#e2e8f0", "#141e32"
+ROBOT, CHAMPION, FLAG = "#5685be", "#f08c00", "#cd2626"
 
 
 def frame(
@@ -56,15 +55,16 @@ def frame(
     for corners in _walls(scenario):
         pen.polygon([pixel(corner) for corner in corners], WALL, WALL)
     radius = max(3, round(scenario.robot_radius * scale))
-    for robot in range(len(position)):
+    middles = [pixel(place) for place in position.tolist()]
+    for robot, (middle, heading) in enumerate(zip(middles, heading_rad.tolist(), strict=True)):
         if robot != highlight:
-            _draw_robot(pen, pixel(position[robot]), heading_rad[robot], radius, ROBOT)
+            _draw_robot(pen, middle, heading, radius, ROBOT)
     for place in _idle_flags(scenario, flag):
         _draw_flag(pen, pixel(place), size, hollow=True)
     _draw_flag(pen, pixel(flag), size)
     if highlight is not None:
-        middle = pixel(position[highlight])
-        _draw_robot(pen, middle, heading_rad[highlight], radius + 2, CHAMPION_RGB)
+        heading = float(heading_rad[highlight])
+        _draw_robot(pen, middles[highlight], heading, radius + 2, CHAMPION)
     return np.array(image)
 
 
@@ -107,15 +107,15 @@ def draw_paths(
     lines.set_array(np.concatenate([np.arange(len(way) - 1.0) for way in ways]))
     axes.add_collection(lines)
     figure.colorbar(lines, ax=axes, label="ticks since the life began", shrink=0.85)
-    axes.plot(*poses[-1, :, :2].T, ".", color=_rgb(TICK), ms=4, zorder=4, label="robot at the end")
+    axes.plot(*poses[-1, :, :2].T, ".", color=TICK, ms=4, zorder=4, label="robot at the end")
     if highlight is not None:
-        way, colour = ways[highlight], _rgb(CHAMPION_RGB)
-        axes.plot(way[:, 0], way[:, 1], color=colour, lw=2.5, zorder=5, label=highlight_label)
-        axes.plot(*way[-1], "o", color=colour, mec="black", ms=7, zorder=6)
+        way = ways[highlight]
+        axes.plot(way[:, 0], way[:, 1], color=CHAMPION, lw=2.5, zorder=5, label=highlight_label)
+        axes.plot(*way[-1], "o", color=CHAMPION, mec="black", ms=7, zorder=6)
     star = {"marker": "*", "ls": "", "ms": 16, "zorder": 7}
-    axes.plot(*flag, color=_rgb(FLAG), mec="black", label="flag", **star)
+    axes.plot(*flag, color=FLAG, mec="black", label="flag", **star)
     for place in _idle_flags(scenario, flag):
-        axes.plot(*place, mfc="white", mec=_rgb(FLAG), label="flag that does not count", **star)
+        axes.plot(*place, mfc="white", mec=FLAG, label="flag that does not count", **star)
     axes.set_title(f'Last life of {poses.shape[1]} robots, task "{scenario.name}"')
     below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "frameon": False}
     axes.legend(ncols=3, fontsize=9, **below)
@@ -124,14 +124,14 @@ def draw_paths(
 
 def _draw_field(axes: Axes, scenario: Scenario) -> None:
     axes.set(xlim=(0, scenario.width), ylim=(0, scenario.height), aspect="equal")
-    axes.set(xlabel="x (units)", ylabel="y (units)", facecolor=_rgb(GROUND))
+    axes.set(xlabel="x (units)", ylabel="y (units)", facecolor=GROUND)
     for number, spawn in enumerate(scenario.spawns):
         reach = max(spawn.jitter, 1)
         corner = (spawn.x - reach, spawn.y - reach)
         area = Rectangle(corner, 2 * reach, 2 * reach, fc="#c3cedd", ec="black", zorder=2)
         axes.add_patch(area).set_label("" if number else "starting area")
     for number, corners in enumerate(_walls(scenario)):
-        wall = Polygon(corners, color=_rgb(WALL), zorder=3, label="" if number else "wall")
+        wall = Polygon(corners, color=WALL, zorder=3, label="" if number else "wall")
         axes.add_patch(wall)
 
 
@@ -147,7 +147,7 @@ def _draw_robot(
     middle: tuple[int, int],
     heading_rad: float,
     radius: int,
-    colour: tuple[int, int, int],
+    colour: str,
 ) -> None:
     """Draw a disc, and a tick from its middle beyond its rim along the heading."""
     (column, row), long = middle, radius + 2
@@ -173,17 +173,13 @@ def _draw_flag(
     pen.polygon(cloth, None if hollow else FLAG, FLAG)
 
 
-def _walls(scenario: Scenario) -> list[np.ndarray]:
-    """The corners, float64 [4, 2] in units, of all walls, those of the border included."""
+def _walls(scenario: Scenario) -> list[list[tuple[float, float]]]:
+    """The corners (x, y) in units of all walls, those of the border included."""
     corners = []
     for wall in (*border_walls(scenario), *scenario.walls):
         cosine, sine = math.cos(wall.angle_rad), math.sin(wall.angle_rad)
-        along = np.array([cosine, sine]) * wall.width / 2
-        across = np.array([-sine, cosine]) * wall.height / 2
-        sides = [-along - across, along - across, along + across, across - along]
-        corners.append(np.array([wall.x, wall.y]) + sides)
+        a, b = wall.width / 2, wall.height / 2
+        sides = (-a, -b), (a, -b), (a, b), (-a, b)
+        turned = [(cosine * u - sine * v, sine * u + cosine * v) for u, v in sides]
+        corners.append([(wall.x + x, wall.y + y) for x, y in turned])
     return corners
-
-
-def _rgb(colour: tuple[int, int, int]) -> tuple[float, float, float]:
-    return colour[0] / 255, colour[1] / 255, colour[2] / 255

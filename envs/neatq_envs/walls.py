@@ -20,7 +20,6 @@ import numpy as np
 from neatq_envs.checks import require, require_fields
 
 MAZE_START, MAZE_GOAL = (31.0, 20.0), (36.0, 184.0)
-_MAZE_THICKNESS = 4.0
 # Both ends of each wall; the first seven are the outer walls.
 _X = 41, 3, 4, 4, 7, 195, 186, 56, 57, 77, 6, 192, 56
 _Y = 5, 8, 49, 49, 202, 198, 8, 54, 106, 201, 80, 146, 55
@@ -70,6 +69,6 @@ def box_distance(x: np.ndarray, y: np.ndarray, wall: Wall) -> np.ndarray:
 def hard_maze(x: float, y: float) -> tuple[Wall, ...]:
     """The walls of the map, its origin at (x, y) in units."""
     return tuple(
-        Wall.between((x + a, y + b), (x + c, y + d), thickness=_MAZE_THICKNESS)
+        Wall.between((x + a, y + b), (x + c, y + d), thickness=4.0)
         for a, b, c, d in zip(_X, _Y, _TO_X, _TO_Y, strict=True)
     )
