@@ -49,9 +49,8 @@ _TASKS: dict[str, tuple[str, int | None, dict[str, Any]]] = {
 _ANYWHERE = {"name": "moving", "flag": {"ring": [100, 250]}}
 _SCENARIOS = {"Flag": "flag", "Moving": _ANYWHERE, "Wall": "wall", "Trap": "trap"}
 _SCENARIOS |= {"Maze": "maze", "Switch": "switch"}
-for _name, _scenario in _SCENARIOS.items():
-    _kwargs = {"scenario": _scenario, "reward": "progress"}
-    _TASKS[f"neatq/{_name}-v0"] = ("robot:Robot", None, _kwargs)
+for _name, _own in _SCENARIOS.items():
+    _TASKS[f"neatq/{_name}-v0"] = "robot:Robot", None, {"scenario": _own, "reward": "progress"}
 
 
 def register_all() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -58,17 +58,6 @@ class Starts:
         table = np.asarray(seeds, np.int64)
         rows, episodes = table.shape
         return Starts(rows, episodes, lambda row, episode: int(table[row, episode]))
-
-    @staticmethod
-    def drawn(
-        seeds: Sequence[int], slots: int, episodes: int | None, generation: int, purpose: int
-    ) -> Starts:
-        """Those of `episode_seed` for arenas with these seeds and so many slots each."""
-
-        def seed(row: int, episode: int) -> int:
-            return episode_seed(seeds[row // slots], generation, episode, purpose=purpose)
-
-        return Starts(len(seeds) * slots, episodes, seed)
 
 
 class EpisodeRows:

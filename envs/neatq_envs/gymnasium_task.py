@@ -167,17 +167,16 @@ def _check_observations(space: Any, name: str) -> None:
         f"supported are Box of at most {MOST_OBSERVATIONS} numbers and Discrete; wrap it, for "
         f"instance with gymnasium.wrappers.FlattenObservation, and {_REGISTER}"
     )
-    if isinstance(space, spaces.Box):
-        if len(space.shape) >= 2 and np.dtype(space.dtype) == np.uint8:
-            raise TaskError(f"task: {name} observes images ({space}); {supported}")
-        size = math.prod(space.shape)
-        if size > MOST_OBSERVATIONS:
-            raise TaskError(f"task: {name} observes {size} numbers ({space.shape}); {supported}")
-        if size:
-            return
-    if isinstance(space, spaces.Discrete) and space.n <= MOST_OBSERVATIONS:
+    size = math.prod(space.shape) if isinstance(space, spaces.Box) else 0
+    if size and len(space.shape) >= 2 and np.dtype(space.dtype) == np.uint8:
+        what = f"images ({space})"
+    elif size > MOST_OBSERVATIONS:
+        what = f"{size} numbers ({space.shape})"
+    elif size or (isinstance(space, spaces.Discrete) and space.n <= MOST_OBSERVATIONS):
         return
-    raise TaskError(f"task: {name} observes {space}, which networks cannot read; {supported}")
+    else:
+        what = f"{space}, which networks cannot read"
+    raise TaskError(f"task: {name} observes {what}; {supported}")
 
 
 def _check_actions(space: Any, name: str) -> None:

@@ -100,11 +100,8 @@ class Senses:
     ) -> np.ndarray:
         """Observations, float32 [arenas, robots, observations], each in [0, 1].
 
-        Wall sensors read min(1, 5 / distance) along rays of 50 units. A radar sector reads
-        min(1, 30 / distance) if the flag is in it and within 300 units; its borders belong to it
-        and walls do not hide. The friend sensors look at d, the distance to the mean position of
-        all robots within 15 units, the robot itself included: proximity is 1 - d / 15, direction
-        is (angle to the left + 180) / 360 degrees; alone, they are 1 and 0.5.
+        What they read is in the table of `neatq_envs.torchrl_env.ArenaEnv`. The borders of a radar
+        sector belong to it, and walls do not hide flags. Alone, a robot reads 1 and 0.5 of friends.
 
         Args:
             position: float64 [arenas, robots, 2] in units.
