@@ -137,11 +137,10 @@ class DealtRows:
                 answers.append(remote.answer())
                 first += len(own)
             return answers
-        except RowError as error:
+        except Exception as error:
             self.close()
-            raise RowError(first + error.row, error.message) from error
-        except Exception:
-            self.close()
+            if isinstance(error, RowError):
+                raise RowError(first + error.row, error.message) from error
             raise
 
 

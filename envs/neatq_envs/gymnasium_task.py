@@ -97,16 +97,13 @@ class GymnasiumTask:
         known = sorted(gymnasium.registry)
         wanted = self.id.rpartition(":")[2]
         close = difflib.get_close_matches(wanted, known, n=3, cutoff=0.5)
-        close += [name for name in known if _family(name) == _family(wanted) and name not in close]
+        family = re.compile(re.escape(re.sub(r"-v\d+$", "", wanted)) + r"(-v\d+)?", re.IGNORECASE)
+        close += [name for name in known if family.fullmatch(name) and name not in close]
         meant = f"did you mean {' or '.join(close)}? " if close else ""
         return (
             f"Gymnasium knows no {self.id!r} ({error}); {meant}all ids: "
             'python -c "import gymnasium; gymnasium.pprint_registry()"'
         )
-
-
-def _family(name: str) -> str:
-    return re.sub(r"-v\d+$", "", name).lower()
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,8 @@ from neatq_envs.scenario import Scenario
 
 GROUND, WALL, SPAWN, TICK = "#f8f7f2", "#464a52", "#e2e8f0", "#141e32"
 ROBOT, CHAMPION, FLAG = "#5685be", "#f08c00", "#cd2626"
+Pixel = tuple[int, int]  # column, row
+Pen = ImageDraw.ImageDraw
 
 
 def frame(
@@ -44,7 +46,7 @@ def frame(
     image = Image.new("RGB", (columns, rows), GROUND)
     pen = ImageDraw.Draw(image)
 
-    def pixel(place: Iterable[float]) -> tuple[int, int]:
+    def pixel(place: Iterable[float]) -> Pixel:
         x, y = place
         return int(x * scale), int(rows - y * scale)
 
@@ -142,13 +144,7 @@ def _last_life(scenario: Scenario, way: np.ndarray) -> np.ndarray:
     return way[start:]
 
 
-def _draw_robot(
-    pen: ImageDraw.ImageDraw,
-    middle: tuple[int, int],
-    heading_rad: float,
-    radius: int,
-    colour: str,
-) -> None:
+def _draw_robot(pen: Pen, middle: Pixel, heading_rad: float, radius: int, colour: str) -> None:
     """Draw a disc, and a tick from its middle beyond its rim along the heading."""
     (column, row), long = middle, radius + 2
     pen.ellipse((column - radius, row - radius, column + radius, row + radius), colour)
@@ -162,9 +158,7 @@ def _idle_flags(scenario: Scenario, flag: np.ndarray) -> list[tuple[float, float
     return [place for place in places if not np.allclose(place, flag)]
 
 
-def _draw_flag(
-    pen: ImageDraw.ImageDraw, foot: tuple[int, int], size: int, *, hollow: bool = False
-) -> None:
+def _draw_flag(pen: Pen, foot: Pixel, size: int, *, hollow: bool = False) -> None:
     """Draw a pole whose foot is the flag's place, with a triangle or its outline at its top."""
     (column, row), tall = foot, max(12, size // 22)
     top, half = row - tall, tall // 3
