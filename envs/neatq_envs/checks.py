@@ -49,7 +49,7 @@ def require_fields(kind: type, values: Any, where: str = "") -> None:
             "str": ("a text", isinstance(value, str)),
             "bool": ("true or false", isinstance(value, bool)),
             "float": ("a number (finite)", is_number(value)),
-            "int": ("a whole number, 0 or more", type(value) is int and value >= 0),
+            "int": ("a whole number of at least 0", type(value) is int and value >= 0),
             "Mapping[str, float]": ("an object of numbers (finite)", numbers),
             "list": ("a list", isinstance(value, list | tuple)),
         }.get("list" if typed.endswith("...]") else typed, ("", True))

@@ -141,7 +141,9 @@ class Scenario:
         return TASKS["flag"].replaced(**_read_scenario(values))
 
     def _check_motion(self) -> None:
-        for name in ("robots", "width", "height", "max_speed", "robot_radius"):
+        words = f"robots: expected a whole number of at least 1, got {self.robots}"
+        require(self.robots > 0, words)
+        for name in ("width", "height", "max_speed", "robot_radius"):
             value = getattr(self, name)
             require(value > 0, f"{name}: must be greater than 0, got {value}")
         turn = self.max_turn_rad

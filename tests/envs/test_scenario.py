@@ -101,7 +101,7 @@ def wall_at(x: float, y: float) -> dict[str, Any]:
     ("values", "words"),
     [
         ({"robot": 3}, ['unknown key "robot"', 'did you mean "robots"']),
-        ({"robots": 0}, ["robots", "greater than 0", "got 0"]),
+        ({"robots": 0}, ["robots", "at least 1", "got 0"]),
         ({"robots": "many"}, ["robots", "whole number", "'many'"]),
         ({"robots": True}, ["robots", "whole number", "True"]),
         ({"width": "wide"}, ["width", "a number"]),
