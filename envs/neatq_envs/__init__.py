@@ -13,41 +13,29 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 if TYPE_CHECKING:
-    from neatq_envs.checks import ScenarioError
-    from neatq_envs.episodes import EpisodeError
-    from neatq_envs.gymnasium_task import GymnasiumTask, TaskError
-    from neatq_envs.pettingzoo_env import TeamEnv
-    from neatq_envs.scenario import TASKS, Scenario, find_scenario, load_scenario
-    from neatq_envs.torchrl_env import ArenaEnv
-    from neatq_envs.torchrl_rows import GymnasiumRows
+    from neatq_envs.checks import ScenarioError as ScenarioError
+    from neatq_envs.episodes import EpisodeError as EpisodeError
+    from neatq_envs.gymnasium_task import GymnasiumTask as GymnasiumTask
+    from neatq_envs.gymnasium_task import TaskError as TaskError
+    from neatq_envs.pettingzoo_env import TeamEnv as TeamEnv
+    from neatq_envs.scenario import TASKS as TASKS
+    from neatq_envs.scenario import Scenario as Scenario
+    from neatq_envs.scenario import find_scenario as find_scenario
+    from neatq_envs.scenario import load_scenario as load_scenario
+    from neatq_envs.torchrl_env import ArenaEnv as ArenaEnv
+    from neatq_envs.torchrl_rows import GymnasiumRows as GymnasiumRows
 
-_PLACES = {
-    "ArenaEnv": "torchrl_env",
-    "EpisodeError": "episodes",
-    "GymnasiumRows": "torchrl_rows",
-    "GymnasiumTask": "gymnasium_task",
-    "Scenario": "scenario",
-    "ScenarioError": "checks",
-    "TASKS": "scenario",
-    "TaskError": "gymnasium_task",
-    "TeamEnv": "pettingzoo_env",
-    "find_scenario": "scenario",
-    "load_scenario": "scenario",
+_HOMES = {
+    "checks": "ScenarioError",
+    "episodes": "EpisodeError",
+    "gymnasium_task": "GymnasiumTask TaskError",
+    "pettingzoo_env": "TeamEnv",
+    "scenario": "TASKS Scenario find_scenario load_scenario",
+    "torchrl_env": "ArenaEnv",
+    "torchrl_rows": "GymnasiumRows",
 }
-
-__all__ = [
-    "TASKS",
-    "ArenaEnv",
-    "EpisodeError",
-    "GymnasiumRows",
-    "GymnasiumTask",
-    "Scenario",
-    "ScenarioError",
-    "TaskError",
-    "TeamEnv",
-    "find_scenario",
-    "load_scenario",
-]
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
+__all__ = sorted(_HOME_OF)  # pyright: ignore[reportUnsupportedDunderAll]
 
 # Of each id: module and name of its classes (+ "Env", + "VectorEnv"), the steps after which an
 # episode is cut off (None: it ends by itself, or the task cuts it off), arguments of the classes.
@@ -61,9 +49,8 @@ _TASKS: dict[str, tuple[str, int | None, dict[str, Any]]] = {
 _ANYWHERE = {"name": "moving", "flag": {"ring": [100, 250]}}
 _SCENARIOS = {"Flag": "flag", "Moving": _ANYWHERE, "Wall": "wall", "Trap": "trap"}
 _SCENARIOS |= {"Maze": "maze", "Switch": "switch"}
-for _name, _scenario in _SCENARIOS.items():
-    _kwargs = {"scenario": _scenario, "reward": "progress"}
-    _TASKS[f"neatq/{_name}-v0"] = ("robot:Robot", None, _kwargs)
+for _name, _own in _SCENARIOS.items():
+    _TASKS[f"neatq/{_name}-v0"] = "robot:Robot", None, {"scenario": _own, "reward": "progress"}
 
 
 def register_all() -> None:
@@ -84,6 +71,6 @@ register_all()
 
 def __getattr__(name: str) -> Any:
     # Looked up when asked for: torch and PettingZoo take seconds to import.
-    if name not in _PLACES:
+    if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+    return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)

@@ -100,9 +100,11 @@ class Arena:
             seeds: one for each arena, of which those of `arenas` count; where it is None, random
                 numbers go on where the old world left them.
         """
-        if seeds is not None:
-            for arena in np.flatnonzero(arenas).tolist():
-                self._seed(arena, seeds[arena])
+        for arena in np.flatnonzero(arenas).tolist():
+            if seeds is not None and (seed := seeds[arena]) is not None:
+                self.seeds = (*self.seeds[:arena], int(seed), *self.seeds[arena + 1 :])
+                for stream, name in enumerate(_STREAMS):
+                    self._generators[name][arena] = np.random.default_rng([int(seed), stream])
         self._began = np.where(arenas, self.tick, self._began)
         self._flags.begin(arenas)
         everyone = np.repeat(arenas[:, None], self.scenario.robots, axis=1)
@@ -215,13 +217,6 @@ class Arena:
             for rng, stored in zip(generators, state[name], strict=True):
                 rng.bit_generator.state = stored
         self._physics.rebuild(np.array(state["place"]), np.array(state["velocity"]))
-
-    def _seed(self, arena: int, seed: int | None) -> None:
-        """Give an arena the random numbers that it would have if it were made with a seed."""
-        if seed is not None:
-            self.seeds = (*self.seeds[:arena], int(seed), *self.seeds[arena + 1 :])
-            for stream, name in enumerate(_STREAMS):
-                self._generators[name][arena] = np.random.default_rng([int(seed), stream])
 
     def _sense(self, ahead: np.ndarray, ignore: np.ndarray | None = None) -> np.ndarray:
         flag, second = self._flags.sensed

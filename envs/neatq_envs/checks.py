@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from typing import Any
 
 
@@ -21,69 +21,58 @@ def require(fine: bool, message: str) -> None:
 
 def require_known(where: str, word: object, known: Collection[str], what: str = "value") -> None:
     """Require one of the known words; the error suggests the one that was probably meant."""
-    close = difflib.get_close_matches(str(word), known, n=1)
-    meant = f'did you mean "{close[0]}"? ' if close else ""
-    require(word in known, f'{where}: unknown {what} "{word}"; {meant}known: {", ".join(known)}')
+    if word not in known:
+        close = difflib.get_close_matches(str(word), known, n=1)
+        meant = f'did you mean "{close[0]}"? ' if close else ""
+        known_words = f"{meant}known: {', '.join(known)}"
+        raise ScenarioError(f'{where}: unknown {what} "{word}"; {known_words}')
 
 
 def is_number(value: object) -> bool:
-    """Whether a value is a number; true and false are none."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    """Whether a value is a finite number; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def require_fields(kind: type, values: Mapping[str, Any], owner: str, **least: int) -> None:
-    """Require plain values of the types that a dataclass's fields are annotated with.
+def require_fields(kind: type, values: Any, where: str = "") -> None:
+    """Require an object of fields of a dataclass, with values of the types that they are given.
 
-    Args:
-        kind: the dataclass; fields of other types than text, truth and numbers are not looked at.
-        values: of its fields, or of some of them.
-        owner: what messages call them.
-        least: the least value of fields that hold whole numbers; 0 if not said.
+    `where` is the path by which messages call the object; the outermost one has none.
     """
-    for entry in fields(kind):
-        if entry.name not in values:
-            continue
-        value, minimum = values[entry.name], least.get(entry.name, 0)
-        whole = is_number(value) and isinstance(value, int)
+    owner, types = where or kind.__name__, {entry.name: entry.type for entry in fields(kind)}
+    words = f"{owner}: expected an object {{...}} of keys, got {values!r}"
+    require(isinstance(values, Mapping), words)
+    for name, value in values.items():
+        require_known(owner, name, types, "key")
+        typed = str(types[name])
+        numbers = isinstance(value, Mapping) and all(map(is_number, value.values()))
         words, fits = {
             "str": ("a text", isinstance(value, str)),
             "bool": ("true or false", isinstance(value, bool)),
-            "float": ("a number (finite)", is_number(value) and math.isfinite(value)),
-            "int": (f"a whole number of at least {minimum}", whole and value >= minimum),
-        }.get(str(entry.type), ("", True))
-        require(fits, f"{owner}.{entry.name}: expected {words}, got {value!r}")
+            "float": ("a number (finite)", is_number(value)),
+            "int": ("a whole number of at least 0", type(value) is int and value >= 0),
+            "Mapping[str, float]": ("an object of numbers (finite)", numbers),
+            "list": ("a list", isinstance(value, list | tuple)),
+        }.get("list" if typed.endswith("...]") else typed, ("", True))
+        path = f"{where}.{name}" if where else name
+        require(fits, f"{path}: expected {words}, got {value!r}")
 
 
 def pair(key: str, value: Any) -> tuple[float, float]:
     """Two finite numbers, such as a place (x, y)."""
     two = isinstance(value, list | tuple) and len(value) == 2 and all(map(is_number, value))
-    require(two, f"{key}: expected two numbers, got {value!r}")
-    require(all(map(math.isfinite, value)), f"{key}: expected finite numbers, got {value!r}")
+    require(two, f"{key}: expected two numbers (finite), got {value!r}")
     return float(value[0]), float(value[1])
 
 
-def require_keys(values: Any, kind: type, where: str) -> None:
-    """Require an object that has no keys but the fields of a dataclass."""
-    words = f"{where}: expected an object {{...}} of keys, got {values!r}"
-    require(isinstance(values, Mapping), words)
-    for key in values:
-        require_known(where, key, [entry.name for entry in fields(kind)], "key")
-
-
-def read_list(kind: type, values: Any, key: str) -> tuple[Any, ...]:
-    """The dataclasses of a list of JSON objects (or of dataclasses)."""
-    require(isinstance(values, list | tuple), f"{key}: expected a list, got {values!r}")
-    return tuple(_read_entry(kind, entry, f"{key}[{i}]") for i, entry in enumerate(values))
-
-
-def _read_entry(kind: type, values: Any, where: str) -> Any:
+def read_object(kind: type, values: Any, where: str) -> Any:
+    """The dataclass of a JSON object (or of itself); errors name the key by its path."""
     if isinstance(values, kind):
         return values
-    require_keys(values, kind, where)
+    require_fields(kind, values, where)
+    needed = {entry.name for entry in fields(kind) if entry.default is MISSING}
+    missing = ", ".join(sorted(needed - values.keys()))
+    require(not missing, f"{where}: missing keys: {missing}")
     try:
         return kind(**values)
     except ScenarioError as error:
-        raise ScenarioError(f"{where}: {error}") from error
-    except TypeError as error:  # a key without a default is missing
-        needed = [entry.name for entry in fields(kind) if entry.name not in values]
-        raise ScenarioError(f"{where}: missing keys, of: {', '.join(needed)}") from error
+        raise ScenarioError(f"{where}.{error}") from error

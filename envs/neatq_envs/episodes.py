@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,17 +58,6 @@ class Starts:
         table = np.asarray(seeds, np.int64)
         rows, episodes = table.shape
         return Starts(rows, episodes, lambda row, episode: int(table[row, episode]))
-
-    @staticmethod
-    def drawn(
-        seeds: Sequence[int], slots: int, episodes: int | None, generation: int, purpose: int
-    ) -> Starts:
-        """Those of `episode_seed` for arenas with these seeds and so many slots each."""
-
-        def seed(row: int, episode: int) -> int:
-            return episode_seed(seeds[row // slots], generation, episode, purpose=purpose)
-
-        return Starts(len(seeds) * slots, episodes, seed)
 
 
 class EpisodeRows:
@@ -132,10 +121,10 @@ class EpisodeRows:
             return
         with self._failures_named():
             observation, reward, terminated, truncated = self._rows.step(living, actions)
-        self.step_count, self.steps = self.step_count + living, self.steps + living
-        self._actions.append(np.array(actions, np.float32))
-        self._forget()
-        self._check(living, observation, reward)
+            self.step_count, self.steps = self.step_count + living, self.steps + living
+            self._actions.append(np.array(actions, np.float32))
+            self._forget()
+            _check(living, observation, reward)
         self.observation = np.where(living[:, None], observation, self.observation)
         self.reward = np.where(living, reward, 0.0)
         self.terminated, self.truncated = terminated & living, truncated & living
@@ -181,7 +170,7 @@ class EpisodeRows:
             self.seed[row] = self._starts.seed(row, int(self.episode[row]))
         with self._failures_named():
             observation = self._rows.reset(mask, self.seed)
-        self._check(mask, observation, np.zeros(len(mask)))
+            _check(mask, observation, np.zeros(len(mask)))
         return observation
 
     @contextmanager
@@ -189,17 +178,16 @@ class EpisodeRows:
         try:
             yield
         except RowError as error:
-            self._fail(error.row, error.message, error)
+            raise EpisodeError(
+                f"{self._name}: {self._label(error.row)} failed in episode "
+                f"{self.episode[error.row]} with seed {self.seed[error.row]}, after "
+                f"{self.step_count[error.row]} steps: {error.message}"
+            ) from error
 
-    def _check(self, mask: Mask, observation: np.ndarray, reward: np.ndarray) -> None:
-        bad = mask & ~(np.isfinite(observation).all(1) & np.isfinite(reward))
-        if bad.any():
-            row = int(np.flatnonzero(bad)[0])
-            values = f"observation {observation[row].tolist()}, reward {reward[row]}"
-            self._fail(row, f"expected finite numbers, got {values}", None)
 
-    def _fail(self, row: int, message: str, cause: Exception | None) -> NoReturn:
-        raise EpisodeError(
-            f"{self._name}: {self._label(row)} failed in episode {self.episode[row]} with seed "
-            f"{self.seed[row]}, after {self.step_count[row]} steps: {message}"
-        ) from cause
+def _check(mask: Mask, observation: np.ndarray, reward: np.ndarray) -> None:
+    bad = mask & ~(np.isfinite(observation).all(1) & np.isfinite(reward))
+    if bad.any():
+        row = int(bad.argmax())
+        values = f"observation {observation[row].tolist()}, reward {reward[row]}"
+        raise RowError(row, f"expected finite numbers, got {values}")

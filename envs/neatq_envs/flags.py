@@ -38,30 +38,28 @@ class FlagSchedule:
     switch_ticks: int = 0
 
     def __post_init__(self) -> None:
-        require_fields(FlagSchedule, vars(self), "flag")
-        words = f"flag.positions: expected a list of [x, y], got {self.positions!r}"
-        require(isinstance(self.positions, list | tuple), words)
-        places = tuple(pair(f"flag.positions[{i}]", at) for i, at in enumerate(self.positions))
+        require_fields(FlagSchedule, vars(self))
+        places = tuple(pair(f"positions[{i}]", at) for i, at in enumerate(self.positions))
         object.__setattr__(self, "positions", places)
         require(
             bool(places) == (self.ring is None),
-            "flag: give either positions (a list of [x, y]) or ring ([least, greatest] "
+            "positions: give either these (a list of [x, y]) or ring ([least, greatest] "
             f"distance to the first spawn), got {'both' if places else 'neither'}",
         )
         if self.ring is not None:
-            least, greatest = pair("flag.ring", self.ring)
+            least, greatest = pair("ring", self.ring)
             object.__setattr__(self, "ring", (least, greatest))
-            words = f"flag.ring: expected 0 <= least <= greatest, got [{least}, {greatest}]"
+            words = f"ring: expected 0 <= least <= greatest, got [{least}, {greatest}]"
             require(0 <= least <= greatest, words)
         require(
             not self.switch_ticks or (len(places) == 2 and places[0] != places[1]),
-            "flag.switch_ticks: expected two different places in flag.positions, one for each "
-            f"flag, got {list(places)}",
+            "switch_ticks: expected two different places in positions, one for each flag, got "
+            f"{list(places)}",
         )
         require(
             not (self.switch_ticks and self.interval_ticks),
-            "flag.switch_ticks: flags that switch do not move; leave out "
-            f"flag.interval_ticks, got {self.interval_ticks}",
+            "switch_ticks: flags that switch do not move; leave out interval_ticks, got "
+            f"{self.interval_ticks}",
         )
 
 

@@ -137,11 +137,10 @@ class DealtRows:
                 answers.append(remote.answer())
                 first += len(own)
             return answers
-        except RowError as error:
+        except Exception as error:
             self.close()
-            raise RowError(first + error.row, error.message) from error
-        except Exception:
-            self.close()
+            if isinstance(error, RowError):
+                raise RowError(first + error.row, error.message) from error
             raise
 
 
@@ -179,11 +178,10 @@ class VectorRows:
     def reset(self, mask: Mask, seeds: NDArray[np.int64]) -> np.ndarray:
         """Begin an episode in the rows of a mask."""
         each: Any = seeds.tolist()  # Gymnasium's annotation forgets that there may be several
+        options: dict[str, Any] | None = {"reset_mask": mask}
         if self._env is None or self._env.num_envs != len(mask):
-            self._env = self._make(len(mask))
-            observations, _ = self._env.reset(seed=each)
-        else:
-            observations, _ = self._env.reset(seed=each, options={"reset_mask": mask})
+            self._env, options = self._make(len(mask)), None
+        observations, _ = self._env.reset(seed=each, options=options)
         return self._read(observations)
 
     def step(self, mask: Mask, actions: np.ndarray) -> Step:

@@ -61,11 +61,6 @@ class GymnasiumTask:
     id: str
     kwargs: Mapping[str, Any] = field(default_factory=dict)
 
-    @staticmethod
-    def parse(task: str, texts: Sequence[str] = ()) -> GymnasiumTask:
-        """Read "gym:ID" and texts as `assignments` reads them."""
-        return GymnasiumTask(id=task.removeprefix(PREFIX), kwargs=assignments(texts))
-
     def make(self, **more: Any) -> gymnasium.Env[Any, Any]:
         """Make the environment, with further arguments of `gymnasium.make`.
 
@@ -102,16 +97,13 @@ class GymnasiumTask:
         known = sorted(gymnasium.registry)
         wanted = self.id.rpartition(":")[2]
         close = difflib.get_close_matches(wanted, known, n=3, cutoff=0.5)
-        close += [name for name in known if _family(name) == _family(wanted) and name not in close]
+        family = re.compile(re.escape(re.sub(r"-v\d+$", "", wanted)) + r"(-v\d+)?", re.IGNORECASE)
+        close += [name for name in known if family.fullmatch(name) and name not in close]
         meant = f"did you mean {' or '.join(close)}? " if close else ""
         return (
             f"Gymnasium knows no {self.id!r} ({error}); {meant}all ids: "
             'python -c "import gymnasium; gymnasium.pprint_registry()"'
         )
-
-
-def _family(name: str) -> str:
-    return re.sub(r"-v\d+$", "", name).lower()
 
 
 @dataclass(frozen=True)
@@ -172,17 +164,16 @@ def _check_observations(space: Any, name: str) -> None:
         f"supported are Box of at most {MOST_OBSERVATIONS} numbers and Discrete; wrap it, for "
         f"instance with gymnasium.wrappers.FlattenObservation, and {_REGISTER}"
     )
-    if isinstance(space, spaces.Box):
-        if len(space.shape) >= 2 and np.dtype(space.dtype) == np.uint8:
-            raise TaskError(f"task: {name} observes images ({space}); {supported}")
-        size = math.prod(space.shape)
-        if size > MOST_OBSERVATIONS:
-            raise TaskError(f"task: {name} observes {size} numbers ({space.shape}); {supported}")
-        if size:
-            return
-    if isinstance(space, spaces.Discrete) and space.n <= MOST_OBSERVATIONS:
+    size = math.prod(space.shape) if isinstance(space, spaces.Box) else 0
+    if size and len(space.shape) >= 2 and np.dtype(space.dtype) == np.uint8:
+        what = f"images ({space})"
+    elif size > MOST_OBSERVATIONS:
+        what = f"{size} numbers ({space.shape})"
+    elif size or (isinstance(space, spaces.Discrete) and space.n <= MOST_OBSERVATIONS):
         return
-    raise TaskError(f"task: {name} observes {space}, which networks cannot read; {supported}")
+    else:
+        what = f"{space}, which networks cannot read"
+    raise TaskError(f"task: {name} observes {what}; {supported}")
 
 
 def _check_actions(space: Any, name: str) -> None:

@@ -4,18 +4,61 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
 
 from neatq_envs.episodes import RANDOM_PLAY, EpisodeRows, Starts, episode_seeds
 from neatq_envs.gymnasium_rows import EnvRows, make_rows
 from neatq_envs.gymnasium_task import GymnasiumTask, Interface, TaskError
-from neatq_envs.observation_scaling import ObservationScaling
 
 EPISODES, MOST_STEPS = 20, 5000  # random play is cut off after so many
 REPEATED_STEPS = 200  # of each episode, played again to see whether they come out the same
 _MARGIN = 0.1
+LARGEST = 10.0
+"""Scaled observations are clipped to [-LARGEST, LARGEST]."""
+_SANE = 1e4  # a bound beyond this says nothing of the values that occur
+_LEAST_SHARE = 0.2  # of the reach that bounds allow
+_STEADY = 1e-6  # a standard deviation below this is that of a value that never changed
+
+
+@dataclass(frozen=True)
+class ObservationScaling:
+    """What a network reads: (observation - offset) / scale, clipped, in single precision."""
+
+    offset: NDArray[np.float64]  # [observations]
+    scale: NDArray[np.float64]  # [observations], positive
+
+    def __call__(self, observation: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Scale observations [..., observations]."""
+        scaled = (observation - self.offset) / self.scale
+        return np.clip(scaled, -LARGEST, LARGEST).astype(np.float32)
+
+    @classmethod
+    def fit(cls, space: spaces.Space[Any], seen: ArrayLike) -> Self:
+        """The scaling of a space, Box or Discrete, in which [times, observations] were seen.
+
+        Entries of a Box with sane bounds are measured from the middle between them, in units of how
+        far they were seen to go, but at least of a fifth of how far they may go: some environments
+        state bounds that nothing ever reaches. Other entries get mean 0 and standard deviation 1
+        over what was seen. The ones and zeros of a Discrete space stay.
+        """
+        seen = np.asarray(seen, np.float64)
+        offset, scale = np.zeros(seen.shape[1]), np.ones(seen.shape[1])
+        if isinstance(space, spaces.Box):
+            low, high = (b.astype(np.float64).ravel() for b in (space.low, space.high))
+            with np.errstate(all="ignore"):
+                sane = (np.abs(low) < _SANE) & (np.abs(high) < _SANE) & (high > low)
+            spread = seen.std(0)
+            offset = np.where(sane, 0, seen.mean(0))
+            scale = np.where(spread > _STEADY, spread, 1.0)
+            offset[sane] = (low[sane] + high[sane]) / 2
+            half = (high[sane] - low[sane]) / 2
+            reach = np.abs(seen[:, sane] - offset[sane]).max(0)
+            scale[sane] = np.clip(reach, half * _LEAST_SHARE, half)
+        return cls(offset, scale)
 
 
 @dataclass(frozen=True)
@@ -30,7 +73,7 @@ class EnvFacts:
     def to_dict(self) -> dict[str, Any]:
         """JSON values from which `from_dict` makes an equal one."""
         return {
-            "observation": self.scaling.to_dict(),
+            "observation": {name: part.tolist() for name, part in vars(self.scaling).items()},
             "value_range": list(self.value_range),
             "renewed": self.renewed,
             "repeatable": self.repeatable,
@@ -40,9 +83,9 @@ class EnvFacts:
     def from_dict(values: Mapping[str, Any]) -> EnvFacts:
         """Read what `to_dict` wrote."""
         low, high = values["value_range"]
-        scaling = ObservationScaling.from_dict(values["observation"])
+        parts = (np.array(values["observation"][name], float) for name in ("offset", "scale"))
         known = bool(values["renewed"]), bool(values["repeatable"])
-        return EnvFacts(scaling, (float(low), float(high)), *known)
+        return EnvFacts(ObservationScaling(*parts), (float(low), float(high)), *known)
 
 
 class Play(NamedTuple):

@@ -1,26 +1,25 @@
-"""Pictures of a world: frames for animations by numpy, paths of robots by matplotlib."""
+"""Pictures of a world: frames for animations by Pillow, paths of robots by matplotlib."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
-from functools import lru_cache
+import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
-from PIL import Image
+from matplotlib.patches import Polygon, Rectangle
+from PIL import Image, ImageDraw
 
-from neatq_envs.scenario import BORDER_INSET, Scenario, Spawn
-from neatq_envs.walls import Wall, box_distance
+from neatq_envs.physics import border_walls
+from neatq_envs.scenario import Scenario
 
-GROUND, WALL, SPAWN = (248, 247, 242), (70, 74, 82), (226, 232, 240)
-ROBOT, CHAMPION_RGB, FLAG = (86, 133, 190), (240, 140, 0), (205, 38, 38)
-TICK = (20, 30, 50)
+GROUND, WALL, SPAWN, TICK = "#f8f7f2", "#464a52", "#e2e8f0", "#141e32"
+ROBOT, CHAMPION, FLAG = "#5685be", "#f08c00", "#cd2626"
+Pixel = tuple[int, int]  # column, row
+Pen = ImageDraw.ImageDraw
 
 
 def frame(
@@ -42,21 +41,33 @@ def frame(
         highlight: a robot to draw in another colour and on top, such as the champion.
         size: pixels of the longer side.
     """
-    canvas = _background(scenario.width, scenario.height, scenario.walls, scenario.spawns, size)
-    canvas = canvas.copy()
     scale = size / max(scenario.width, scenario.height)
-    row = canvas.shape[0] - position[:, 1] * scale
-    column = position[:, 0] * scale
-    radius = max(3.0, scenario.robot_radius * scale)
-    order = [robot for robot in range(len(position)) if robot != highlight]
-    _draw_robots(canvas, row[order], column[order], heading_rad[order], radius, ROBOT)
-    for x, y in _idle_flags(scenario, flag):
-        _draw_flag(canvas, canvas.shape[0] - y * scale, x * scale, size, hollow=True)
-    _draw_flag(canvas, canvas.shape[0] - flag[1] * scale, flag[0] * scale, size)
+    columns, rows = (max(1, round(side * scale)) for side in (scenario.width, scenario.height))
+    image = Image.new("RGB", (columns, rows), GROUND)
+    pen = ImageDraw.Draw(image)
+
+    def pixel(place: Iterable[float]) -> Pixel:
+        x, y = place
+        return int(x * scale), int(rows - y * scale)
+
+    for spawn in scenario.spawns:
+        reach = max(spawn.jitter, 4)
+        top_left = pixel((spawn.x - reach, spawn.y + reach))
+        pen.rectangle((top_left, pixel((spawn.x + reach, spawn.y - reach))), SPAWN)
+    for corners in _walls(scenario):
+        pen.polygon([pixel(corner) for corner in corners], WALL, WALL)
+    radius = max(3, round(scenario.robot_radius * scale))
+    middles = [pixel(place) for place in position.tolist()]
+    for robot, (middle, heading) in enumerate(zip(middles, heading_rad.tolist(), strict=True)):
+        if robot != highlight:
+            _draw_robot(pen, middle, heading, radius, ROBOT)
+    for place in _idle_flags(scenario, flag):
+        _draw_flag(pen, pixel(place), size, hollow=True)
+    _draw_flag(pen, pixel(flag), size)
     if highlight is not None:
-        top = slice(highlight, highlight + 1)
-        _draw_robots(canvas, row[top], column[top], heading_rad[top], radius + 1.5, CHAMPION_RGB)
-    return canvas
+        heading = float(heading_rad[highlight])
+        _draw_robot(pen, middles[highlight], heading, radius + 2, CHAMPION)
+    return np.array(image)
 
 
 def animation(frames: Sequence[np.ndarray], fps: float = 20.0) -> bytes:
@@ -92,57 +103,38 @@ def draw_paths(
     figure = Figure(figsize=(7.4, 6.0 * scenario.height / scenario.width + 1.0), layout="tight")
     axes = figure.add_subplot()
     _draw_field(axes, scenario)
-    wall = Rectangle((0, 0), 1, 1, color=_rgb(WALL), label="wall")
-    area = Rectangle((0, 0), 1, 1, fc="#c3cedd", ec="black", label="starting area")
-    handles: list[Artist] = [wall, area]
-    segments, ticks = _last_lives(scenario, poses)
-    lines = LineCollection(list(segments), cmap="viridis", linewidths=0.7, alpha=0.65)
-    lines.set_array(ticks)
+    ways = [_last_life(scenario, way) for way in poses[..., :2].swapaxes(0, 1)]
+    segments = [segment for way in ways for segment in np.stack([way[:-1], way[1:]], axis=1)]
+    lines = LineCollection(segments, cmap="viridis", linewidths=0.7, alpha=0.65)
+    lines.set_array(np.concatenate([np.arange(len(way) - 1.0) for way in ways]))
     axes.add_collection(lines)
     figure.colorbar(lines, ax=axes, label="ticks since the life began", shrink=0.85)
-    axes.plot(poses[-1, :, 0], poses[-1, :, 1], ".", color=_rgb(TICK), ms=4, zorder=4)
-    handles.append(Line2D([], [], marker=".", ls="", color=_rgb(TICK), label="robot at the end"))
+    axes.plot(*poses[-1, :, :2].T, ".", color=TICK, ms=4, zorder=4, label="robot at the end")
     if highlight is not None:
-        way = _last_life(scenario, poses[:, highlight, :2])
-        axes.plot(way[:, 0], way[:, 1], color=_rgb(CHAMPION_RGB), lw=2.5, zorder=5)
-        axes.plot(*way[-1], "o", color=_rgb(CHAMPION_RGB), mec="black", ms=7, zorder=6)
-        handles.append(Line2D([], [], color=_rgb(CHAMPION_RGB), lw=2.5, label=highlight_label))
-    axes.plot(flag[0], flag[1], "*", color=_rgb(FLAG), mec="black", ms=16, zorder=7)
-    handles.append(Line2D([], [], marker="*", ls="", color=_rgb(FLAG), ms=12, label="flag"))
-    for x, y in _idle_flags(scenario, flag):
-        star = {"marker": "*", "ls": "", "mfc": "white", "mec": _rgb(FLAG)}
-        axes.plot(x, y, **star, ms=16, zorder=7)
-        handles.append(Line2D([], [], **star, ms=12, label="flag that does not count"))
+        way = ways[highlight]
+        axes.plot(way[:, 0], way[:, 1], color=CHAMPION, lw=2.5, zorder=5, label=highlight_label)
+        axes.plot(*way[-1], "o", color=CHAMPION, mec="black", ms=7, zorder=6)
+    star = {"marker": "*", "ls": "", "ms": 16, "zorder": 7}
+    axes.plot(*flag, color=FLAG, mec="black", label="flag", **star)
+    for place in _idle_flags(scenario, flag):
+        axes.plot(*place, mfc="white", mec=FLAG, label="flag that does not count", **star)
     axes.set_title(f'Last life of {poses.shape[1]} robots, task "{scenario.name}"')
     below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "frameon": False}
-    axes.legend(handles=handles, ncols=3, fontsize=9, **below)
+    axes.legend(ncols=3, fontsize=9, **below)
     return figure
 
 
 def _draw_field(axes: Axes, scenario: Scenario) -> None:
     axes.set(xlim=(0, scenario.width), ylim=(0, scenario.height), aspect="equal")
-    axes.set(xlabel="x (units)", ylabel="y (units)", facecolor=_rgb(GROUND))
-    for spine in axes.spines.values():
-        spine.set(linewidth=2.5, color=_rgb(WALL))
-    for spawn in scenario.spawns:
+    axes.set(xlabel="x (units)", ylabel="y (units)", facecolor=GROUND)
+    for number, spawn in enumerate(scenario.spawns):
         reach = max(spawn.jitter, 1)
         corner = (spawn.x - reach, spawn.y - reach)
-        axes.add_patch(Rectangle(corner, 2 * reach, 2 * reach, fc="#c3cedd", ec="black", zorder=2))
-    for wall in scenario.walls:
-        corner = wall.x - wall.width / 2, wall.y - wall.height / 2
-        box = Rectangle(corner, wall.width, wall.height, rotation_point="center")
-        box.set(angle=float(np.degrees(wall.angle_rad)), color=_rgb(WALL), zorder=3)
-        axes.add_patch(box)
-
-
-def _last_lives(scenario: Scenario, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All segments [segments, 2, 2] of the last lives and the tick of each."""
-    segments, ticks = [np.zeros((0, 2, 2))], [np.zeros(0)]
-    for robot in range(poses.shape[1]):
-        way = _last_life(scenario, poses[:, robot, :2])
-        segments.append(np.stack([way[:-1], way[1:]], axis=1))
-        ticks.append(np.arange(len(way) - 1.0))
-    return np.concatenate(segments), np.concatenate(ticks)
+        area = Rectangle(corner, 2 * reach, 2 * reach, fc="#c3cedd", ec="black", zorder=2)
+        axes.add_patch(area).set_label("" if number else "starting area")
+    for number, corners in enumerate(_walls(scenario)):
+        wall = Polygon(corners, color=WALL, zorder=3, label="" if number else "wall")
+        axes.add_patch(wall)
 
 
 def _last_life(scenario: Scenario, way: np.ndarray) -> np.ndarray:
@@ -152,61 +144,12 @@ def _last_life(scenario: Scenario, way: np.ndarray) -> np.ndarray:
     return way[start:]
 
 
-@lru_cache(maxsize=8)
-def _background(
-    width: float, height: float, walls: tuple[Wall, ...], spawns: tuple[Spawn, ...], size: int
-) -> np.ndarray:
-    scale = size / max(width, height)
-    rows, columns = max(1, round(height * scale)), max(1, round(width * scale))
-    x = (np.arange(columns)[None, :] + 0.5) / scale
-    y = height - (np.arange(rows)[:, None] + 0.5) / scale
-    canvas = np.empty((rows, columns, 3), dtype=np.uint8)
-    canvas[:] = GROUND
-    for spawn in spawns:
-        reach = max(spawn.jitter, 4)
-        canvas[(np.abs(x - spawn.x) <= reach) & (np.abs(y - spawn.y) <= reach)] = SPAWN
-    thick = max(BORDER_INSET, 1.0 / scale)
-    canvas[(np.minimum(x, width - x) < thick) | (np.minimum(y, height - y) < thick)] = WALL
-    for wall in walls:
-        # Half a pixel more, so that a thin wall is never lost between pixels.
-        canvas[box_distance(x, y, wall) <= 0.5 / scale] = WALL
-    return canvas
-
-
-@lru_cache(maxsize=8)
-def _disc(radius: float) -> np.ndarray:
-    """The offsets [pixels, 2] of a disc."""
-    reach = int(np.ceil(radius))
-    grid = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
-    return grid[(grid**2).sum(1) <= radius * (radius + 0.7)]
-
-
-def _stamp(
-    canvas: np.ndarray,
-    row: np.ndarray,
-    column: np.ndarray,
-    offsets: np.ndarray,
-    colour: tuple[int, int, int],
-) -> None:
-    rows = (np.floor(row).astype(int)[:, None] + offsets[:, 0]).ravel()
-    columns = (np.floor(column).astype(int)[:, None] + offsets[:, 1]).ravel()
-    seen = (rows >= 0) & (rows < canvas.shape[0]) & (columns >= 0) & (columns < canvas.shape[1])
-    canvas[rows[seen], columns[seen]] = colour
-
-
-def _draw_robots(
-    canvas: np.ndarray,
-    row: np.ndarray,
-    column: np.ndarray,
-    heading_rad: np.ndarray,
-    radius: float,
-    colour: tuple[int, int, int],
-) -> None:
-    """Draw discs, and a tick from the middle of each beyond its rim along its heading."""
-    _stamp(canvas, row, column, _disc(radius), colour)
-    for step in np.arange(0.0, radius + 2.5, 0.5):
-        ahead_row, ahead_column = row - step * np.sin(heading_rad), step * np.cos(heading_rad)
-        _stamp(canvas, ahead_row, column + ahead_column, _disc(0.0), TICK)
+def _draw_robot(pen: Pen, middle: Pixel, heading_rad: float, radius: int, colour: str) -> None:
+    """Draw a disc, and a tick from its middle beyond its rim along the heading."""
+    (column, row), long = middle, radius + 2
+    pen.ellipse((column - radius, row - radius, column + radius, row + radius), colour)
+    across, up = round(long * math.cos(heading_rad)), round(long * math.sin(heading_rad))
+    pen.line((column, row, column + across, row - up), TICK)
 
 
 def _idle_flags(scenario: Scenario, flag: np.ndarray) -> list[tuple[float, float]]:
@@ -215,19 +158,22 @@ def _idle_flags(scenario: Scenario, flag: np.ndarray) -> list[tuple[float, float
     return [place for place in places if not np.allclose(place, flag)]
 
 
-def _draw_flag(
-    canvas: np.ndarray, row: float, column: float, size: int, *, hollow: bool = False
-) -> None:
+def _draw_flag(pen: Pen, foot: Pixel, size: int, *, hollow: bool = False) -> None:
     """Draw a pole whose foot is the flag's place, with a triangle or its outline at its top."""
-    tall = max(12, size // 22)
-    pole = np.array([(-up, side) for up in range(tall + 1) for side in (0, 1)])
-    half = tall // 3
-    cloth = [(d, s) for d in range(-half, half + 1) for s in range(2 * (half - abs(d)) + 1)]
-    if hollow:
-        cloth = [(d, s) for d, s in cloth if s == 0 or s > 2 * (half - abs(d)) - 2]
-    _stamp(canvas, np.array([row]), np.array([column]), pole, TICK)
-    _stamp(canvas, np.array([row]) - tall + half, np.array([column]) + 2, np.array(cloth), FLAG)
+    (column, row), tall = foot, max(12, size // 22)
+    top, half = row - tall, tall // 3
+    pen.rectangle((column, top, column + 1, row), TICK)
+    cloth = [(column + 2, top), (column + 2 + 2 * half, top + half), (column + 2, top + 2 * half)]
+    pen.polygon(cloth, None if hollow else FLAG, FLAG)
 
 
-def _rgb(colour: tuple[int, int, int]) -> tuple[float, float, float]:
-    return colour[0] / 255, colour[1] / 255, colour[2] / 255
+def _walls(scenario: Scenario) -> list[list[tuple[float, float]]]:
+    """The corners (x, y) in units of all walls, those of the border included."""
+    corners = []
+    for wall in (*border_walls(scenario), *scenario.walls):
+        cosine, sine = math.cos(wall.angle_rad), math.sin(wall.angle_rad)
+        a, b = wall.width / 2, wall.height / 2
+        sides = (-a, -b), (a, -b), (a, b), (-a, b)
+        turned = [(cosine * u - sine * v, sine * u + cosine * v) for u, v in sides]
+        corners.append([(wall.x + x, wall.y + y) for x, y in turned])
+    return corners

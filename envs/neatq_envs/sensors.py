@@ -7,7 +7,7 @@ The definitions are those of the OpenNERO source code (2014): `RaySensor.cpp`,
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -36,7 +36,7 @@ _FRIEND = ("friend_proximity", "friend_direction")
 _RAYS = np.array([(math.cos(angle), math.sin(angle)) for angle in RAY_ANGLES_RAD])
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class SensorSchema:
     """Meaning and order of observations, each in [0, 1], and of actions: a name for each index.
 
@@ -59,30 +59,20 @@ class SensorSchema:
         return least, np.array([high.get(name, 1.0) for name in self.actions], dtype=np.float32)
 
 
+_MOTION, _NERO = ("speed", "turn"), ("speed", "turn", "fire", "ignore_friends")
+# The order in which OpenNERO really filled its inputs, dead ones included: there are no enemies (by
+# whose radar a second flag is seen), friend sensors took the place of the target ray, index 17 was
+# never written. In the arena the second flag comes last: the first 12 indices stay.
 SCHEMAS: dict[str, SensorSchema] = {
-    "arena": SensorSchema(
-        name="arena-1", observations=(*_WALL, *_FLAG, *_FRIEND), actions=("speed", "turn")
+    "arena": SensorSchema("arena-1", (*_WALL, *_FLAG, *_FRIEND), _MOTION),
+    "opennero": SensorSchema("opennero-2014", (*_WALL, *_FLAG, *_ENEMY, *_FRIEND, "unused"), _NERO),
+    "arena-two-flags": SensorSchema(
+        "arena-1-two-flags", (*_WALL, *_FLAG, *_FRIEND, *_SECOND_FLAG), _MOTION
     ),
-    # The order in which OpenNERO really filled its inputs, dead ones included: there are no
-    # enemies, friend sensors took the place of the target ray, index 17 was never written.
-    "opennero": SensorSchema(
-        name="opennero-2014",
-        observations=(*_WALL, *_FLAG, *_ENEMY, *_FRIEND, "unused"),
-        actions=("speed", "turn", "fire", "ignore_friends"),
+    "opennero-two-flags": SensorSchema(
+        "opennero-2014-two-flags", (*_WALL, *_FLAG, *_SECOND_FLAG, *_FRIEND, "unused"), _NERO
     ),
 }
-# Two flags: the first 12 indices stay; OpenNERO's second flag is seen by the radar of the enemies,
-# who are not there.
-SCHEMAS["arena-two-flags"] = replace(
-    SCHEMAS["arena"],
-    name="arena-1-two-flags",
-    observations=(*SCHEMAS["arena"].observations, *_SECOND_FLAG),
-)
-SCHEMAS["opennero-two-flags"] = replace(
-    SCHEMAS["opennero"],
-    name="opennero-2014-two-flags",
-    observations=(*_WALL, *_FLAG, *_SECOND_FLAG, *_FRIEND, "unused"),
-)
 IGNORE_ABOVE = 0.5
 
 
@@ -110,11 +100,8 @@ class Senses:
     ) -> np.ndarray:
         """Observations, float32 [arenas, robots, observations], each in [0, 1].
 
-        Wall sensors read min(1, 5 / distance) along rays of 50 units. A radar sector reads
-        min(1, 30 / distance) if the flag is in it and within 300 units; its borders belong to it
-        and walls do not hide. The friend sensors look at d, the distance to the mean position of
-        all robots within 15 units, the robot itself included: proximity is 1 - d / 15, direction
-        is (angle to the left + 180) / 360 degrees; alone, they are 1 and 0.5.
+        What they read is in the table of `neatq_envs.torchrl_env.ArenaEnv`. The borders of a radar
+        sector belong to it, and walls do not hide flags. Alone, a robot reads 1 and 0.5 of friends.
 
         Args:
             position: float64 [arenas, robots, 2] in units.

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from tensordict import TensorDictBase
 from torchrl.data import Bounded, Unbounded
 
-from neatq_envs.episodes import TRAINING, EpisodeRows, Starts
+from neatq_envs.episodes import TRAINING, EpisodeRows, Starts, episode_seed
 from neatq_envs.gymnasium_rows import EnvRows
 from neatq_envs.gymnasium_task import Interface
-from neatq_envs.observation_scaling import LARGEST, ObservationScaling
+from neatq_envs.random_play import LARGEST, ObservationScaling
 from neatq_envs.torchrl_env import (
     DONE,
     OBSERVATION,
@@ -136,9 +136,12 @@ class GymnasiumRows(RowsEnv):
     def _starts(self) -> Starts:
         if self._given is not None:
             return Starts.given(self._given)
-        return Starts.drawn(
-            self.seeds, self.batch_size[1], self._number, self.generation, self._purpose
-        )
+        seeds, slots, generation = self.seeds, self.batch_size[1], self.generation
+
+        def seed(row: int, episode: int) -> int:
+            return episode_seed(seeds[row // slots], generation, episode, purpose=self._purpose)
+
+        return Starts(len(seeds) * slots, self._number, seed)
 
     def _checked(self, seeds: Sequence[int]) -> tuple[int, ...]:
         if len(seeds) != self.batch_size[0]:

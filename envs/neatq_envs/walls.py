@@ -20,23 +20,11 @@ import numpy as np
 from neatq_envs.checks import require, require_fields
 
 MAZE_START, MAZE_GOAL = (31.0, 20.0), (36.0, 184.0)
-_MAZE_THICKNESS = 4.0
-# (x, y) of both ends; the first seven are the outer walls.
-_MAZE_SEGMENTS = (
-    (41, 5, 3, 8),
-    (3, 8, 4, 49),
-    (4, 49, 57, 53),
-    (4, 49, 7, 202),
-    (7, 202, 195, 198),
-    (195, 198, 186, 8),
-    (186, 8, 39, 5),
-    (56, 54, 56, 157),
-    (57, 106, 158, 162),
-    (77, 201, 108, 164),
-    (6, 80, 33, 121),
-    (192, 146, 87, 91),
-    (56, 55, 133, 30),
-)
+# Both ends of each wall; the first seven are the outer walls.
+_X = 41, 3, 4, 4, 7, 195, 186, 56, 57, 77, 6, 192, 56
+_Y = 5, 8, 49, 49, 202, 198, 8, 54, 106, 201, 80, 146, 55
+_TO_X = 3, 4, 57, 7, 195, 186, 39, 56, 158, 108, 33, 87, 133
+_TO_Y = 8, 49, 53, 202, 198, 8, 5, 157, 162, 164, 121, 91, 30
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,12 +38,10 @@ class Wall:
     angle_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        require_fields(Wall, vars(self), "wall")
-        require(
-            self.width > 0 and self.height > 0,
-            f"wall at ({self.x}, {self.y}): width and height must be greater than 0, "
-            f"got {self.width} and {self.height}",
-        )
+        require_fields(Wall, vars(self))
+        for name in ("width", "height"):
+            value = getattr(self, name)
+            require(value > 0, f"{name}: must be greater than 0, got {value}")
 
     @staticmethod
     def between(start: tuple[float, float], end: tuple[float, float], *, thickness: float) -> Wall:
@@ -83,6 +69,6 @@ def box_distance(x: np.ndarray, y: np.ndarray, wall: Wall) -> np.ndarray:
 def hard_maze(x: float, y: float) -> tuple[Wall, ...]:
     """The walls of the map, its origin at (x, y) in units."""
     return tuple(
-        Wall.between((x + a, y + b), (x + c, y + d), thickness=_MAZE_THICKNESS)
-        for a, b, c, d in _MAZE_SEGMENTS
+        Wall.between((x + a, y + b), (x + c, y + d), thickness=4.0)
+        for a, b, c, d in zip(_X, _Y, _TO_X, _TO_Y, strict=True)
     )

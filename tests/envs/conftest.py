@@ -23,6 +23,12 @@ def towards(place: tuple[float, float] | None, arena: Arena) -> np.ndarray:
     return actions
 
 
+@pytest.fixture(scope="session")
+def toy(toy: str) -> str:
+    """What Gymnasium's own ids of the toy environments begin with."""
+    return toy.removeprefix("gym:")
+
+
 @pytest.fixture
 def to_flag() -> Drive:
     return lambda arena: towards(None, arena)

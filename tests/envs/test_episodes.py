@@ -22,7 +22,7 @@ from neatq_envs.episodes import (
 )
 from neatq_envs.gymnasium_rows import DealtRows, EnvRows, SingleRows, VectorRows, make_rows
 from neatq_envs.gymnasium_task import GymnasiumTask, Interface
-from neatq_envs.observation_scaling import ObservationScaling
+from neatq_envs.random_play import ObservationScaling
 from neatq_envs.torchrl_rows import GymnasiumRows
 
 SHAPE = (2, 3)
@@ -34,7 +34,7 @@ def made(rows: EnvRows, interface: Interface, episodes: int | None, **more: Any)
 
 
 def env_of(task: str, episodes: int | None = None, **more: Any) -> GymnasiumRows:
-    return made(*make_rows(GymnasiumTask.parse(task)), episodes, **more)
+    return made(*make_rows(GymnasiumTask(id=task)), episodes, **more)
 
 
 def actions_of(env: GymnasiumRows, step: int) -> torch.Tensor:
@@ -75,7 +75,7 @@ def saved(env: GymnasiumRows) -> Any:
 
 @pytest.fixture
 def walk(toy: str) -> Iterator[Any]:
-    make_rows(GymnasiumTask.parse(f"{toy}Walk-v0"))
+    make_rows(GymnasiumTask(id=f"{toy}Walk-v0"))
     yield sys.modules["toy_tasks"].Walk
 
 
@@ -93,13 +93,13 @@ TASKS = {
 @pytest.mark.parametrize("stop", [0, 7, 33, 120])
 def test_a_restored_world_goes_on_bit_for_bit(task: str, episodes: int | None, stop: int) -> None:
     newborn = 11 if episodes is None else 0
-    env = env_of("gym:" + task, episodes, seeds=(5, 9))
+    env = env_of(task, episodes, seeds=(5, 9))
     assert isinstance(env.episodes._rows, TASKS[task])
     env.begin(3)
     now, _ = go(env, env.reset(), range(stop), newborn)
     state = saved(env)
     _, expected = go(env, now, range(stop, stop + 90), newborn)
-    again = env_of("gym:" + task, episodes)
+    again = env_of(task, episodes)
     again.load_world_state(state)
     again.rebuild()
     root = again.reset()
@@ -115,7 +115,7 @@ def test_a_restored_world_goes_on_bit_for_bit(task: str, episodes: int | None, s
 @pytest.mark.parametrize("renewed", [False, True])
 def test_a_restored_world_may_need_new_environments(toy: str, renewed: bool) -> None:
     """What an episode carries over to the next one is not in the state: only renewal goes on."""
-    parsed = GymnasiumTask.parse(f"{toy}Carrying-v0")
+    parsed = GymnasiumTask(id=f"{toy}Carrying-v0")
     env = made(*make_rows(parsed, renewed=renewed), None)
     now, _ = go(env, env.reset(), range(50))
     state = saved(env)
@@ -207,7 +207,7 @@ def test_purposes_have_seeds_of_their_own(toy: str) -> None:
 
 
 def test_where_no_row_lives_no_environment_is_called(toy: str) -> None:
-    rows, _ = make_rows(GymnasiumTask.parse(f"{toy}Walk-v0"))
+    rows, _ = make_rows(GymnasiumTask(id=f"{toy}Walk-v0"))
     episodes = EpisodeRows(rows, "walk")
     episodes.begin(Starts.given([[3], [4]]))
     episodes.step(np.ones((2, 1)))
@@ -230,7 +230,7 @@ def dealt() -> Iterator[list[EnvRows]]:
 def test_workers_change_nothing(toy: str, dealt: list[EnvRows]) -> None:
     ways = []
     for workers in (1, 2, 3):
-        rows, interface = make_rows(GymnasiumTask.parse(f"{toy}Walk-v0"), workers=workers)
+        rows, interface = make_rows(GymnasiumTask(id=f"{toy}Walk-v0"), workers=workers)
         dealt.append(rows)
         assert isinstance(rows, SingleRows if workers == 1 else DealtRows)
         env = made(rows, interface, None, seeds=(5, 6))
@@ -239,13 +239,11 @@ def test_workers_change_nothing(toy: str, dealt: list[EnvRows]) -> None:
         env.load_world_state(state)
         ways.append((way, go(env, env.reset(), range(30, 50))[1]))
     assert ways[0] == ways[1] == ways[2]
-    assert isinstance(
-        make_rows(GymnasiumTask.parse("gym:neatq/DoublePole-v0"), workers=2)[0], VectorRows
-    )
+    assert isinstance(make_rows(GymnasiumTask(id="neatq/DoublePole-v0"), workers=2)[0], VectorRows)
 
 
 def test_a_failure_in_a_process_names_the_row(toy: str, dealt: list[EnvRows]) -> None:
-    rows, interface = make_rows(GymnasiumTask.parse(f"{toy}Broken-v0"), workers=2)
+    rows, interface = make_rows(GymnasiumTask(id=f"{toy}Broken-v0"), workers=2)
     dealt.append(rows)
     env = made(rows, interface, 1)
     env.begin(starts=[[2], [2], [2], [2], [9], [7]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import json
 import re
 from typing import Any
 
@@ -11,12 +12,12 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from neatq_envs.gymnasium_task import GymnasiumTask, Interface, TaskError
-from neatq_envs.observation_scaling import ObservationScaling
+from neatq_envs.gymnasium_task import GymnasiumTask, Interface, TaskError, assignments
+from neatq_envs.random_play import EnvFacts, ObservationScaling
 
 
 def refusal(task: str, *env_kwargs: str) -> str:
-    parsed = GymnasiumTask.parse(task, env_kwargs)
+    parsed = GymnasiumTask(id=task, kwargs=assignments(env_kwargs))
     with pytest.raises(TaskError) as caught:
         Interface.of(parsed.make(), parsed.id)
     return str(caught.value)
@@ -25,13 +26,13 @@ def refusal(task: str, *env_kwargs: str) -> str:
 @pytest.mark.parametrize(
     ("task", "pattern"),
     [
-        ("gym:CartPol-v1", r"did you mean CartPole-v1.*pprint_registry"),
-        ("gym:cartpole-v1", r"did you mean CartPole-v1"),
-        ("gym:CartPole-v9", r"did you mean CartPole-v1"),
-        ("gym:LunarLander-v2", r"LunarLander-v3"),
-        ("gym:qqqq", r"knows no 'qqqq'.*pprint_registry"),
-        ("gym:Nothing/CartPole-v1", r"knows no"),
-        ("gym:no_such_module:CartPole-v1", r"No module named 'no_such_module'.*PYTHONPATH"),
+        ("CartPol-v1", r"did you mean CartPole-v1.*pprint_registry"),
+        ("cartpole-v1", r"did you mean CartPole-v1"),
+        ("CartPole-v9", r"did you mean CartPole-v1"),
+        ("LunarLander-v2", r"LunarLander-v3"),
+        ("qqqq", r"knows no 'qqqq'.*pprint_registry"),
+        ("Nothing/CartPole-v1", r"knows no"),
+        ("no_such_module:CartPole-v1", r"No module named 'no_such_module'.*PYTHONPATH"),
     ],
 )
 @pytest.mark.filterwarnings("ignore")
@@ -49,17 +50,19 @@ def test_an_unknown_id_is_answered_with_close_ones(task: str, pattern: str) -> N
 )
 def test_bad_arguments_of_the_environment_are_named(given: str, pattern: str) -> None:
     with pytest.raises(TaskError, match=pattern):
-        GymnasiumTask.parse("gym:CartPole-v1", [given]).make()
+        GymnasiumTask(id="CartPole-v1", kwargs=assignments([given])).make()
 
 
 def test_arguments_are_json_or_else_text() -> None:
-    task = GymnasiumTask.parse("gym:X-v0", ["a=true", "b=-5.5", "c=human", "d=[1, 2]", "e=False"])
+    task = GymnasiumTask(
+        id="X-v0", kwargs=assignments(["a=true", "b=-5.5", "c=human", "d=[1, 2]", "e=False"])
+    )
     assert task.kwargs == {"a": True, "b": -5.5, "c": "human", "d": [1, 2], "e": False}
     assert task.id == "X-v0"
 
 
 def test_a_time_limit_is_an_argument() -> None:
-    env = GymnasiumTask.parse("gym:CartPole-v1", ["max_episode_steps=2"]).make()
+    env = GymnasiumTask(id="CartPole-v1", kwargs=assignments(["max_episode_steps=2"])).make()
     env.reset(seed=1)
     assert [env.step(0)[3] for _ in range(2)] == [False, True]
 
@@ -69,8 +72,8 @@ def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         raise gymnasium.error.DependencyNotInstalled("Box2D is not installed")
 
     monkeypatch.setattr(gymnasium, "make", missing)
-    assert 'pip install "gymnasium[box2d]"' in refusal("gym:LunarLander-v3")
-    assert "Box2D is not installed" in refusal("gym:CartPole-v1")
+    assert 'pip install "gymnasium[box2d]"' in refusal("LunarLander-v3")
+    assert "Box2D is not installed" in refusal("CartPole-v1")
 
 
 @pytest.mark.parametrize(
@@ -94,7 +97,9 @@ def test_spaces_that_networks_cannot_use_are_named(
 
 
 def test_observations_and_actions_are_numbers(toy: str) -> None:
-    env = GymnasiumTask.parse(f"{toy}Spaces-v0", ["observes=choice", "acts=matrix"]).make()
+    env = GymnasiumTask(
+        id=f"{toy}Spaces-v0", kwargs=assignments(["observes=choice", "acts=matrix"])
+    ).make()
     interface = Interface.of(env, "toy")
     assert (interface.inputs, interface.choices) == (3, None)
     assert interface.read(6).tolist() == [0, 1, 0]  # the choices are 5, 6 and 7
@@ -116,7 +121,8 @@ def test_sane_bounds_scale_and_other_entries_are_standardised() -> None:
     # 1.5 is how far the first went from 1; the last went 1, which is less than a fifth of 10.
     assert scaling.scale.tolist() == [1.5, 2, 0.5, 1, 2]
     assert scaling(np.array([4.0, 11, 0, 700, -3])).tolist() == [2, 2, -1, 10, -1.5]
-    again = ObservationScaling.from_dict(scaling.to_dict())
+    facts = EnvFacts(scaling, value_range=(0.0, 1.0), renewed=False, repeatable=True)
+    again = EnvFacts.from_dict(json.loads(json.dumps(facts.to_dict()))).scaling
     assert again(seen).tobytes() == scaling(seen).tobytes()
 
 

@@ -9,13 +9,13 @@ import pytest
 
 from neatq_envs.episodes import RANDOM_PLAY, episode_seeds
 from neatq_envs.gymnasium_rows import make_rows
-from neatq_envs.gymnasium_task import GymnasiumTask, TaskError
+from neatq_envs.gymnasium_task import GymnasiumTask, TaskError, assignments
 from neatq_envs.processes import Remote
 from neatq_envs.random_play import EnvFacts, Play, look_around, play_at_random, value_range
 
 
 def task(name: str, *kwargs: str) -> GymnasiumTask:
-    return GymnasiumTask.parse(name, kwargs)
+    return GymnasiumTask(id=name, kwargs=assignments(kwargs))
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_random_play_has_seeds_of_its_own_and_ends(toy: str) -> None:
 
 def test_episodes_without_end_are_refused(toy: str) -> None:
     with pytest.raises(TaskError, match=r"did not end in 5000 steps.*max_episode_steps=1000"):
-        look_around(task("gym:toy_tasks:toy/Endless-v0"), 0.9)
+        look_around(task("toy_tasks:toy/Endless-v0"), 0.9)
 
 
 def test_a_process_that_ends_says_how() -> None:

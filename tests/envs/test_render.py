@@ -7,10 +7,10 @@ import io
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
-from PIL import Image
+from PIL import Image, ImageColor
 
 from neatq_envs.render import (
-    CHAMPION_RGB,
+    CHAMPION,
     FLAG,
     GROUND,
     ROBOT,
@@ -29,9 +29,9 @@ def picture(highlight: int | None = None) -> np.ndarray:
     return frame(TASK, place, np.array([0.0, np.pi / 2]), np.array([400, 500]), highlight=highlight)
 
 
-def centre(image: np.ndarray, colour: tuple[int, int, int]) -> tuple[float, float]:
+def centre(image: np.ndarray, colour: str) -> tuple[float, float]:
     """Return the middle (row, column) of all pixels of a colour."""
-    rows, columns = np.nonzero((image == colour).all(-1))
+    rows, columns = np.nonzero((image == ImageColor.getrgb(colour)).all(-1))
     return float(rows.mean()), float(columns.mean())
 
 
@@ -39,11 +39,12 @@ def test_the_world_is_drawn_with_y_upwards() -> None:
     image = picture(highlight=1)
     assert image.shape == (400, 400, 3) and image.dtype == np.uint8
     assert centre(image, ROBOT) == pytest.approx((100, 100), abs=2)
-    assert centre(image, CHAMPION_RGB) == pytest.approx((300, 300), abs=2)
+    assert centre(image, CHAMPION) == pytest.approx((300, 300), abs=2)
     row, column = centre(image, FLAG)
     assert 130 < row < 150 and 400 / 2 < column < 212  # the cloth is at the top of the pole
-    assert tuple(image[200, 200]) == WALL and tuple(image[10, 10]) == GROUND
-    assert tuple(image[0, 5]) == WALL and tuple(image[399, 395]) == WALL
+    wall, ground = ImageColor.getrgb(WALL), ImageColor.getrgb(GROUND)
+    assert tuple(image[200, 200]) == wall and tuple(image[10, 10]) == ground
+    assert tuple(image[0, 5]) == wall and tuple(image[399, 395]) == wall
 
 
 def test_headings_point_out_of_the_robot() -> None:
@@ -63,7 +64,7 @@ def test_a_frame_does_not_stain_the_background_of_the_next() -> None:
 def test_a_field_that_is_not_square() -> None:
     image = frame(TASK.replaced(width=1000.0), np.array([[1000.0, 0.0]]), np.zeros(1), np.zeros(2))
     assert image.shape == (320, 400, 3)
-    assert tuple(image[319, 399]) != GROUND
+    assert tuple(image[319, 399]) != ImageColor.getrgb(GROUND)
 
 
 def test_an_animation_holds_every_frame_for_its_time() -> None:

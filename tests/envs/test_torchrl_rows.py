@@ -17,15 +17,15 @@ from torchrl.envs.utils import check_env_specs
 
 from neatq_envs.episodes import EpisodeError, episode_seeds
 from neatq_envs.gymnasium_rows import SingleRows, VectorRows, make_rows
-from neatq_envs.gymnasium_task import GymnasiumTask, Interface
-from neatq_envs.observation_scaling import ObservationScaling
+from neatq_envs.gymnasium_task import GymnasiumTask, Interface, assignments
+from neatq_envs.random_play import ObservationScaling
 from neatq_envs.torchrl_rows import GymnasiumRows
 
 
 def rows_of(
     task: str, *env_kwargs: str, shape: tuple[int, int] = (2, 2), episodes: int | None = 1
 ) -> GymnasiumRows:
-    parsed = GymnasiumTask.parse(task, env_kwargs)
+    parsed = GymnasiumTask(id=task, kwargs=assignments(env_kwargs))
     rows, interface = make_rows(parsed)
     scaling = as_it_is(interface)
     return GymnasiumRows(rows, interface, scaling, shape=shape, episodes=episodes)
@@ -95,7 +95,7 @@ def seen_as(observation: np.ndarray) -> list[float]:
 
 
 def env_id(toy: str) -> str:
-    return f"{toy}Walk-v0".removeprefix("gym:")
+    return f"{toy}Walk-v0"
 
 
 def test_idle_rows_are_not_stepped_and_do_not_count(toy: str) -> None:
@@ -167,7 +167,7 @@ def test_wrong_seeds_are_refused(toy: str) -> None:
     env = rows_of(f"{toy}Walk-v0")
     with pytest.raises(ValueError, match=r"of 4 rows, got the shape \[3, 1\]"):
         env.begin(starts=np.zeros((3, 1)))
-    rows, interface = make_rows(GymnasiumTask.parse(f"{toy}Walk-v0"))
+    rows, interface = make_rows(GymnasiumTask(id=f"{toy}Walk-v0"))
     with pytest.raises(ValueError, match="one for each of 2 arenas, got 3"):
         GymnasiumRows(rows, interface, as_it_is(interface), shape=(2, 2), seeds=(1, 2, 3))
 
@@ -200,13 +200,13 @@ def fast_walk(toy: str) -> Iterator[str]:
     gymnasium.register(
         "toy/FastWalk-v0", "toy_tasks:Walk", vector_entry_point=make, max_episode_steps=20
     )
-    yield "gym:toy/FastWalk-v0"
+    yield "toy/FastWalk-v0"
     del gymnasium.registry["toy/FastWalk-v0"]
 
 
 def test_a_vectorised_environment_gives_what_single_ones_give(toy: str, fast_walk: str) -> None:
-    single, interface = make_rows(GymnasiumTask.parse(f"{toy}Walk-v0"))
-    fast, _ = make_rows(GymnasiumTask.parse(fast_walk))
+    single, interface = make_rows(GymnasiumTask(id=f"{toy}Walk-v0"))
+    fast, _ = make_rows(GymnasiumTask(id=fast_walk))
     assert isinstance(single, SingleRows)
     assert isinstance(fast, VectorRows)
     ways: list[list[TensorDict]] = []
@@ -226,6 +226,6 @@ def test_a_vectorised_environment_gives_what_single_ones_give(toy: str, fast_wal
 
 
 def test_a_vectorised_environment_of_another_kind_is_not_used() -> None:
-    rows, _ = make_rows(GymnasiumTask.parse("gym:CartPole-v1"))
+    rows, _ = make_rows(GymnasiumTask(id="CartPole-v1"))
     assert gymnasium.spec("CartPole-v1").vector_entry_point is not None
     assert isinstance(rows, SingleRows)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import ImageColor
 
 from neatq_envs.arena import Arena, directions
 from neatq_envs.checks import ScenarioError
@@ -280,7 +281,7 @@ def test_one_robot_and_a_team_are_told_the_distance_that_counts() -> None:
 def test_the_flag_that_counts_is_drawn_full_and_the_other_hollow() -> None:
     for counts, other in ((LEFT, RIGHT), (RIGHT, LEFT)):
         image = frame(TASKS["switch"], np.array([[400.0, 600.0]]), np.zeros(1), np.array(counts))
-        red = (image == FLAG).all(-1)
+        red = (image == ImageColor.getrgb(FLAG)).all(-1)
         # 18 pixels up the pole, 400 pixels for 800 units.
         full, hollow = (
             red[:, round(x / 2) : round(x / 2) + 20].sum() for x in (counts[0], other[0])

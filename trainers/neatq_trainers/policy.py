@@ -12,8 +12,7 @@ from gymnasium import spaces
 from torch import Tensor, nn
 
 from neatq_envs.gymnasium_task import Interface
-from neatq_envs.observation_scaling import LARGEST, ObservationScaling
-from neatq_envs.random_play import EnvFacts
+from neatq_envs.random_play import LARGEST, EnvFacts, ObservationScaling
 from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.genome import Genome
 from neatq_torch.learning import Heads, TableLearner
