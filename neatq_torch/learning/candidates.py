@@ -10,8 +10,7 @@ from torch import Tensor
 
 from neatq_torch.learning.exploration import EpsilonGreedy
 from neatq_torch.learning.heads import Heads, check_heads
-from neatq_torch.learning.learner import fitted
-from neatq_torch.network import PopulationNetwork
+from neatq_torch.network import PopulationNetwork, fitted
 
 NOBODY = -1
 """The genome id of transitions that nobody learns from."""

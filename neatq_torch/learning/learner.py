@@ -6,24 +6,25 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, cast, get_args
+from typing import Any, Literal, Protocol, cast
 
-import numpy as np
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor, nn
+from torch import Tensor
 from torchrl.objectives import SoftUpdate
 
 from neatq_torch.evolution import Population
+from neatq_torch.kinds import check_fields
 from neatq_torch.learning.heads import Heads
 from neatq_torch.learning.objectives import CandidateTDLoss
-from neatq_torch.network import PopulationNetwork
+from neatq_torch.network import PopulationNetwork, fitted
 
 ADAM_BETAS, ADAM_EPSILON = (0.9, 0.999), 1e-8
 _KEPT = ("learning_rate", "steps", "first_moment", "second_moment")
 Saved = dict[str, Any]
 """What a checkpoint keeps: JSON values, tensors and numpy arrays by name."""
 
+Optimizer = Literal["sgd", "adam"]
 Inheritance = Literal["lamarckian", "darwinian"]
 """`lamarckian`: learnt weights are written into the genome before it breeds. `darwinian`: learning
 changes the robot's life and fitness, its genes never."""
@@ -71,20 +72,18 @@ class Learner(Protocol):
 
 
 _COUNTS = ("max_hold_ticks", "updates", "size", "horizon", "keep_every", "capacity")
-_LEAST = {"newborn_updates": 0} | dict.fromkeys(_COUNTS, 1)
+_ALLOWED = {"newborn_updates": "[0, inf]", "inheritance": Inheritance}
+_ALLOWED |= dict.fromkeys(_COUNTS, "[1, inf]")
 
 
 def check_settings(config: object) -> None:
-    """Raise ValueError for the first setting of a learner's configuration that is out of range."""
+    """Raise ValueError for the first setting of a learner's configuration out of range."""
     for name, value in vars(config).items():
         if name == "learning_rate" and not 0 <= value < math.inf:
             raise ValueError(f"{name}: expected a finite number of at least 0, got {value}")
         if name in ("discount", "trace_decay", "epsilon") and not 0 <= value <= 1:
             raise ValueError(f"{name}: expected within [0, 1], got {value}")
-        if name in _LEAST and value < _LEAST[name]:
-            raise ValueError(f"{name}: expected at least {_LEAST[name]}, got {value}")
-        if name == "inheritance" and value not in get_args(Inheritance):
-            raise ValueError(f"{name}: expected one of {get_args(Inheritance)}, got {value!r}")
+    check_fields(config, **{name: _ALLOWED[name] for name in vars(config) if name in _ALLOWED})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +128,7 @@ class StepConfig:
     """
 
     learning_rate: float = 0.1
-    optimizer: Literal["sgd", "adam"] = "sgd"
+    optimizer: Optimizer = "sgd"
     target_tau: float | None = None
     discount: float = 0.8
     normalize_return: bool = True
@@ -141,8 +140,7 @@ class StepConfig:
     def __post_init__(self) -> None:
         """Check every value."""
         check_settings(self)
-        if self.optimizer not in ("sgd", "adam"):
-            raise ValueError(f"optimizer: expected 'sgd' or 'adam', got {self.optimizer!r}")
+        check_fields(self, optimizer=Optimizer)
         if self.target_tau is not None and not 0 < self.target_tau <= 1:
             raise ValueError(f"target_tau: expected within (0, 1], got {self.target_tau}")
         if self.genes is None:
@@ -270,13 +268,10 @@ class TDLearner:
     @torch.no_grad()
     def reset(self, newborn: Tensor) -> None:
         """Clear moments, steps and targets of the genomes before, once newborns stand there."""
-        weight = self.network.weight
-        born = newborn.reshape(-1, 1)
-        self.first_moment = fitted(self.first_moment, weight)
-        self.second_moment = fitted(self.second_moment, weight)
+        weight, born = self.network.weight, newborn.reshape(-1, 1)
         self.steps.masked_fill_(born.squeeze(1), 0)
-        self.first_moment.masked_fill_(born, 0)
-        self.second_moment.masked_fill_(born, 0)
+        self.first_moment = fitted(self.first_moment, weight).masked_fill(born, 0)
+        self.second_moment = fitted(self.second_moment, weight).masked_fill(born, 0)
         target = self.target_weight
         if target is not None:
             target.data = fitted(target.data, weight)
@@ -317,12 +312,3 @@ def take_over(weight: Tensor, changed: Tensor, wanted: Tensor | None = None) -> 
         finite &= wanted
     weight.copy_(torch.where(finite, changed, weight))
     return finite
-
-
-def fitted(values: Tensor | np.ndarray, own: Tensor) -> Tensor:
-    """Values [..., old] on the device of `own` [..., columns], cut or padded to as many columns.
-
-    Columns that only one of them has belong to no link or no node, and hold zeros.
-    """
-    values = torch.as_tensor(values).to(own)
-    return nn.functional.pad(values, (0, own.shape[-1] - values.shape[-1]))

@@ -13,7 +13,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from neatq_torch.learning.learner import Saved, check_settings
+from neatq_torch.learning.learner import Learner, Saved, check_settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,12 +91,8 @@ class TableActor(TensorDictModuleBase):
     """Epsilon-greedy over the table; an exploratory action is uniform over the whole range.
 
     Reads `observation`, writes `action`. Equal values are told apart at random, as in OpenNERO.
-    A module, as collectors call what is none once more and so draw once more.
-
-    Args:
-        table: The tables.
-        epsilon: Probability of exploring, per tick and robot.
-        seeds: One seed for each arena.
+    A module, as collectors call what is none once more and so draw once more. There is one seed for
+    each arena.
     """
 
     def __init__(self, table: QTable, epsilon: float, seeds: Sequence[int]) -> None:
@@ -138,7 +134,7 @@ class TableActor(TensorDictModuleBase):
             rng.bit_generator.state = bits
 
 
-class TableLearner:
+class TableLearner(Learner):
     """Watkins' Q-learning on the tables: Q += alpha (r + gamma max Q' - Q), as OpenNERO had it.
 
     Its rewards were those of the place where an action began, not where it led, so the reward of
@@ -174,9 +170,6 @@ class TableLearner:
             errors.append(error**2)
             self._reward = batch.get(("next", "reward"))[:, :, tick, 0].double().numpy() - 1
         return torch.from_numpy(np.mean(errors, 0).reshape(table.shape))
-
-    def reset(self, newborn: Tensor) -> None:
-        """There are no newborns without evolution."""
 
     def state_dict(self) -> Saved:
         """The tables and the latest rewards."""

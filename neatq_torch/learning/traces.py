@@ -9,8 +9,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from neatq_torch.learning.heads import Heads, check_heads
-from neatq_torch.learning.learner import Inheritance, Saved, check_settings, fitted, take_over
-from neatq_torch.network import PopulationNetwork
+from neatq_torch.learning.learner import Inheritance, Saved, check_settings, take_over
+from neatq_torch.network import PopulationNetwork, fitted
 
 
 @dataclass(frozen=True, kw_only=True)

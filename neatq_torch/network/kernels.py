@@ -279,16 +279,9 @@ def forward(
 ) -> None:
     """Evaluate every network on its observations.
 
-    The fields of `Batch` are arguments of their own: numba looks at a tuple for half a microsecond.
-
-    Args:
-        program: The evaluation order.
-        rows: Values of the largest network.
-        weight: [networks, columns].
-        observation: See `Batch`, like `state`, `output` and `kept`, which take the results.
-        state: [networks, batch, state].
-        output: [networks, batch, outputs].
-        kept: [networks, batch, state].
+    The largest network has `rows` values, weights are [networks, columns]. The fields of `Batch`,
+    of which `output` and `kept` take the results, are arguments of their own: numba looks at a
+    tuple for half a microsecond.
     """
     batch = Batch(observation, state, output, kept)
     networks, size, inputs = observation.shape
@@ -383,14 +376,9 @@ def backward(
 ) -> None:
     """The adjoint of `forward`. Hidden nodes are evaluated again, which is cheaper than memory.
 
-    Args:
-        program: The evaluation order.
-        rows: Values of the largest network.
-        weight: [networks, columns].
-        batch: What `forward` read and wrote; `kept` is not read.
-        weight_gradient: Takes the gradient of `weight`, summed over observations; zeros so far.
-        gradient: Gradients of `output` and `kept`; if `further`, takes those of the others.
-        further: Whether the gradients of observation and state are wanted.
+    `batch` is what `forward` read and wrote; its `kept` is not read. `weight_gradient`, zeros so
+    far, takes the gradient of `weight`, summed over observations. `gradient` has those of `output`
+    and `kept` and, if `further`, takes those of observation and state.
     """
     networks, size, inputs = batch.observation.shape
     outputs, sensors = batch.output.shape[2], inputs + 1
