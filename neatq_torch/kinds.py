@@ -44,12 +44,13 @@ def check_fields(config: object, **allowed: Any) -> None:
 
 
 def _within(value: float | None, interval: str) -> tuple[bool, str]:
-    """Whether a number is in "[least, most]" ("(" leaves out the least), in words, too."""
+    """Whether a number is in "[least, most]" (round brackets leave ends out), in words, too."""
     least, most = interval[1:-1].split(", ")
-    expected = f"at least {least}" if most == "inf" else interval
+    expected = f"at least {least}" if interval.endswith("inf]") else interval
     if value is None or not float(least) <= value <= float(most):
         return False, expected
-    return not (interval[0] == "(" and value == float(least)), expected
+    open_ends = {"(": float(least), ")": float(most)}
+    return value not in (open_ends.get(interval[0]), open_ends.get(interval[-1])), expected
 
 
 def import_own(noun: str, name: str, module: str) -> None:

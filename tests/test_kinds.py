@@ -16,11 +16,13 @@ Words = Literal["one", "two"]
 class Settings:
     share: float = 0.5
     count: int = 1
+    rate: float = 0.0
     optional: int | None = None
     word: str = "one"
 
     def check(self) -> None:
         check_fields(self, share="(0, 1]", count="[1, inf]", optional="[1, inf]", word=Words)
+        check_fields(self, rate="[0, inf)")
 
 
 @pytest.mark.parametrize(
@@ -38,6 +40,7 @@ def test_fields_within_their_limits_pass(fields: dict[str, Any]) -> None:
         ({"share": float("nan")}, r"share: expected \(0, 1\], got nan"),
         ({"count": 0}, "count: expected at least 1, got 0"),
         ({"count": None}, "count: expected at least 1, got None"),
+        ({"rate": float("inf")}, r"rate: expected \[0, inf\), got inf"),
         ({"optional": 0}, "optional: expected at least 1 or None, got 0"),
         ({"word": "three"}, "word: expected 'one' or 'two', got 'three'"),
     ],

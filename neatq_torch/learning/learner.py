@@ -71,21 +71,6 @@ class Learner(Protocol):
         """Go on from `state`."""
 
 
-_COUNTS = ("max_hold_ticks", "updates", "size", "horizon", "keep_every", "capacity")
-_ALLOWED = {"newborn_updates": "[0, inf]", "inheritance": Inheritance}
-_ALLOWED |= dict.fromkeys(_COUNTS, "[1, inf]")
-
-
-def check_settings(config: object) -> None:
-    """Raise ValueError for the first setting of a learner's configuration out of range."""
-    for name, value in vars(config).items():
-        if name == "learning_rate" and not 0 <= value < math.inf:
-            raise ValueError(f"{name}: expected a finite number of at least 0, got {value}")
-        if name in ("discount", "trace_decay", "epsilon") and not 0 <= value <= 1:
-            raise ValueError(f"{name}: expected within [0, 1], got {value}")
-    check_fields(config, **{name: _ALLOWED[name] for name in vars(config) if name in _ALLOWED})
-
-
 @dataclass(frozen=True, kw_only=True)
 class NoLearningConfig:
     """Evolution alone: no exploration, and nothing that genes could inherit."""
@@ -138,16 +123,10 @@ class StepConfig:
     genes: float | None = None
 
     def __post_init__(self) -> None:
-        """Check every value."""
-        check_settings(self)
-        check_fields(self, optimizer=Optimizer)
-        if self.target_tau is not None and not 0 < self.target_tau <= 1:
-            raise ValueError(f"target_tau: expected within (0, 1], got {self.target_tau}")
-        if self.genes is None:
-            return
-        if not 0 < self.genes < math.inf:
-            raise ValueError(f"genes: expected a finite number above 0, got {self.genes}")
-        if not (self.epsilon and self.learning_rate and self.discount < 1):
+        check_fields(self, learning_rate="[0, inf)", optimizer=Optimizer, target_tau="(0, 1]")
+        check_fields(self, discount="[0, 1]", epsilon="[0, 1]", max_hold_ticks="[1, inf]")
+        check_fields(self, inheritance=Inheritance, genes="(0, inf)")
+        if self.genes and not (self.epsilon and self.learning_rate and self.discount < 1):
             raise ValueError(
                 "genes: founders need an epsilon and a learning_rate above 0 and a discount below "
                 f"1, got {self.epsilon}, {self.learning_rate} and {self.discount}"
@@ -169,6 +148,10 @@ class TDConfig(StepConfig):
 
     trace_decay: float = 0.0
     wires: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_fields(self, trace_decay="[0, 1]")
 
 
 class TDLearner:

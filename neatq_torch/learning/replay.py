@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from neatq_torch.kinds import check_fields
 from neatq_torch.learning import compiled_wires
 from neatq_torch.learning.heads import CandidateHeads
 from neatq_torch.learning.learner import Saved, StepConfig, TDLearner
@@ -42,6 +43,12 @@ class ReplayConfig(StepConfig):
     horizon: int = 1
     keep_every: int = 4
     capacity: int = 20_000
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_fields(self, newborn_updates="[0, inf]")
+        for name in ("updates", "size", "horizon", "keep_every", "capacity"):
+            check_fields(self, **{name: "[1, inf]"})
 
 
 class ReplayLearner:

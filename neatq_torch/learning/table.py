@@ -13,7 +13,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from neatq_torch.learning.learner import Learner, Saved, check_settings
+from neatq_torch.kinds import check_fields
+from neatq_torch.learning.learner import Learner, Saved
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +32,7 @@ class TableConfig:
     epsilon: float = 0.1
 
     def __post_init__(self) -> None:
-        """Check every value."""
-        check_settings(self)
+        check_fields(self, learning_rate="[0, inf)", discount="[0, 1]", epsilon="[0, 1]")
 
 
 STATE_BINS = 5

@@ -8,8 +8,9 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from neatq_torch.kinds import check_fields
 from neatq_torch.learning.heads import Heads, check_heads
-from neatq_torch.learning.learner import Inheritance, Saved, check_settings, take_over
+from neatq_torch.learning.learner import Inheritance, Saved, take_over
 from neatq_torch.network import PopulationNetwork, fitted
 
 
@@ -40,8 +41,8 @@ class TraceConfig:
     inheritance: Inheritance = "darwinian"
 
     def __post_init__(self) -> None:
-        """Check every value."""
-        check_settings(self)
+        check_fields(self, learning_rate="[0, inf)", discount="[0, 1]", trace_decay="[0, 1]")
+        check_fields(self, epsilon="[0, 1]", max_hold_ticks="[1, inf]", inheritance=Inheritance)
 
 
 class TraceLearner:
