@@ -105,21 +105,17 @@ def newborns_of(learner: TDLearner, slots: Sequence[int]) -> Pupils:
 
 
 def learn(
-    pupils: Pupils,
-    learner: TDLearner,
-    drawn: Sequence[TensorDictBase],
-    steps: int,
-    discount: Tensor | None,
+    pupils: Pupils, learner: TDLearner, drawn: TensorDictBase, steps: int, discount: Tensor | None
 ) -> Floats:
     """Take one step on each minibatch.
 
     Args:
         pupils: Networks [arenas * robots], by arena.
         learner: Says how; its own networks are not touched unless they are the pupils.
-        drawn: Transitions for each arena [steps * size]; with one gamma for all, rewards are summed
-            up already.
+        drawn: Transitions [arenas, steps * size]; with one gamma for all, rewards are summed up
+            already.
         steps: Minibatches.
-        discount: gamma of each pupil [networks]; None: the loss's.
+        discount: gamma of each pupil, in any shape; None: the loss's.
 
     Returns:
         Mean squared TD error of each network on the last minibatch [networks].
@@ -160,10 +156,10 @@ def _wires_of(learner: TDLearner) -> Wires:
 
 
 def _minibatches(
-    learner: TDLearner, drawn: Sequence[TensorDictBase], steps: int, discount: Tensor | None
+    learner: TDLearner, drawn: TensorDictBase, steps: int, discount: Tensor | None
 ) -> Minibatches:
     def part(*name: str) -> Floats:
-        rows = torch.stack([each.get(name) for each in drawn]).float().numpy()
+        rows = drawn.get(name).float().numpy()
         return rows.reshape(len(drawn), steps, -1, rows.shape[-1])
 
     reward, ahead = part("next", "reward"), part("steps_to_next_obs")[..., 0]
@@ -171,7 +167,7 @@ def _minibatches(
     if discount is None:
         gamma = np.array([discount_of(learner.loss)])
     else:
-        gamma = discount.numpy().astype(np.float64)
+        gamma = discount.flatten().numpy().astype(np.float64)
         sharing = len(gamma) // len(drawn)
         reward, ahead, going_on = (np.repeat(one, sharing, 0) for one in (reward, ahead, going_on))
     weight = gamma[:, None] ** np.arange(reward.shape[-1])
