@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
-import torch
 from numba import njit
 from tensordict import TensorDictBase
 from torch import Tensor

@@ -20,7 +20,6 @@ from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.network import PopulationNetwork, fitted
 
 ADAM_BETAS, ADAM_EPSILON = (0.9, 0.999), 1e-8
-_KEPT = ("learning_rate", "steps", "first_moment", "second_moment")
 Saved = dict[str, Any]
 """What a checkpoint keeps: JSON values, tensors and numpy arrays by name."""
 
@@ -223,8 +222,7 @@ class TDLearner:
     @contextmanager
     def sparing(self, spared: Tensor) -> Iterator[None]:
         """Leave some networks [networks] and their optimiser alone, whatever happens meanwhile."""
-        parts = [self.network.weight.detach(), self.steps, self.first_moment, self.second_moment]
-        parts += [] if self.target_weight is None else [self.target_weight.detach()]
+        parts = [self.network.weight.detach(), *self.state_dict().values()]
         before = [part.clone() for part in parts]
         yield
         for part, old in zip(parts, before, strict=True):
@@ -255,10 +253,8 @@ class TDLearner:
         self.steps.masked_fill_(born.squeeze(1), 0)
         self.first_moment = fitted(self.first_moment, weight).masked_fill(born, 0)
         self.second_moment = fitted(self.second_moment, weight).masked_fill(born, 0)
-        target = self.target_weight
-        if target is not None:
-            target.data = fitted(target.data, weight)
-            target.copy_(torch.where(born, weight, target))
+        if (target := self.target_weight) is not None:
+            target.data = torch.where(born, weight, fitted(target.data, weight))
 
     @property
     def target_weight(self) -> Tensor | None:
@@ -269,7 +265,8 @@ class TDLearner:
 
     def state_dict(self) -> Saved:
         """Learning rates, moments, steps and target parameters."""
-        state = {name: getattr(self, name) for name in _KEPT}
+        names = ("learning_rate", "steps", "first_moment", "second_moment")
+        state = {name: getattr(self, name) for name in names}
         if self.target_weight is not None:
             state["target_weight"] = self.target_weight.detach()
         return state
@@ -277,12 +274,8 @@ class TDLearner:
     @torch.no_grad()
     def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`."""
-        for name in _KEPT:
-            own = getattr(self, name)
+        for name, own in self.state_dict().items():
             own.copy_(fitted(state[name], own))
-        target = self.target_weight
-        if target is not None:
-            target.copy_(fitted(state["target_weight"], target))
 
 
 def take_over(weight: Tensor, changed: Tensor, wanted: Tensor | None = None) -> Tensor:

@@ -215,7 +215,7 @@ def _draw(
 ) -> TensorDict:
     """Transitions [arenas, size]; arenas of one memory get the same, and no other one draws."""
     drawn = {row: memories[row].sample(size, generators[row]) for row in set(memory_of)}
-    return TensorDict.stack([drawn[row] for row in memory_of])
+    return cast(TensorDict, TensorDict.stack([drawn[row] for row in memory_of]))
 
 
 def _for_all(learner: TDLearner, drawn: TensorDictBase) -> TensorDict:

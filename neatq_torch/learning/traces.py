@@ -187,6 +187,5 @@ class TraceLearner:
 
     def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`."""
-        for name in ("learning_rate", "trace"):
-            own = getattr(self, name)
+        for name, own in self.state_dict().items():
             own.copy_(fitted(state[name], own))
