@@ -210,9 +210,7 @@ def _slopes(
     wrong, mean, total = np.empty((3, size), np.float32)
     fit = near, gap, mean, total
     for network in range(networks):
-        for o in range(outputs):
-            for i in range(size):
-                out[o, i] = output[network, i, o]
+        out[:] = output[network].T
         _distances(out, action[network // robots], wires, away)
         _weigh(out, away, wires, fit)
         best = out[outputs - candidates :]
@@ -223,9 +221,7 @@ def _slopes(
             squares += wrong[i] * wrong[i]
         error[network] = squares / np.float32(size)
         _spread(out, away, wires, fit, wrong, moved)
-        for o in range(outputs):
-            for i in range(size):
-                slope[network, i, o] = moved[o, i]
+        slope[network] = moved.T
 
 
 @njit(error_model="numpy")
@@ -247,8 +243,7 @@ def _weigh(out: Floats, away: Floats, wires: Wires, fit: Fit) -> None:
     near, gap, mean, total = fit
     candidates, actions, size = wires.candidates, len(wires.low), out.shape[1]
     first = candidates * actions
-    for i in range(size):
-        mean[i], total[i] = out[first, i], _F0
+    mean[:], total[:] = out[first], _F0
     for k in range(1, candidates):
         for i in range(size):
             mean[i] = max(mean[i], out[first + k, i])  # the best output, for now
@@ -259,8 +254,7 @@ def _weigh(out: Floats, away: Floats, wires: Wires, fit: Fit) -> None:
         for row in range(k * actions, (k + 1) * actions):
             for i in range(size):
                 near[k, i] += away[row, i] * away[row, i]
-    for i in range(size):
-        mean[i] = _F0
+    mean[:] = _F0
     for k in range(candidates):
         for i in range(size):
             near[k, i] = _F1 / near[k, i]

@@ -180,22 +180,6 @@ def _forward_one(program: Program, rows: int, weight: Floats, batch: Batch) -> N
 
 
 @njit(error_model="numpy")
-def _read_rows(rows: Floats, batch: Floats, start: int, n: int) -> None:
-    """Copy observations [start, start + n) of `batch` [batch, k] into rows [k, n]."""
-    for k in range(len(rows)):
-        for b in range(n):
-            rows[k, b] = batch[start + b, k]
-
-
-@njit(error_model="numpy")
-def _write_rows(batch: Floats, rows: Floats, start: int, n: int) -> None:
-    """Copy rows [k, n] to observations [start, start + n) of `batch` [batch, k]."""
-    for b in range(n):
-        for k in range(len(rows)):
-            batch[start + b, k] = rows[k, b]
-
-
-@njit(error_model="numpy")
 def _add(target: Floats, source: Floats, weight: np.float32, n: int) -> None:
     """Add weight * source [n] to target [n]."""
     for b in range(n):
@@ -260,10 +244,11 @@ def _read_block(
     """Write n observations and states into values [rows, block]; hidden nodes get zero."""
     inputs, outputs = batch.observation.shape[2], batch.output.shape[2]
     first_state = inputs + 1 + outputs
-    first_hidden = first_state + program.size[network, 1]
-    _read_rows(values[:inputs], batch.observation[network], start, n)
+    states = program.size[network, 1]
+    first_hidden = first_state + states
+    values[:inputs, :n] = batch.observation[network, start : start + n].T
     values[inputs] = ONE
-    _read_rows(values[first_state:first_hidden], batch.state[network], start, n)
+    values[first_state:first_hidden, :n] = batch.state[network, start : start + n, :states].T
     values[first_hidden : first_hidden + program.size[network, 2]] = ZERO
 
 
@@ -299,10 +284,9 @@ def forward(
             _read_block(program, network, batch, values, start, n)
             _dense_block(weight, program.live, network, values, sensors, outputs, n)
             _evaluate_block(program, weight, network, sensors * outputs, values, 0, n)
-            _write_rows(output[network], values[sensors : sensors + outputs], start, n)
-            for b in range(n):
-                for k in range(states):
-                    kept[network, start + b, k] = values[program.kept[network, k], b]
+            output[network, start : start + n] = values[sensors : sensors + outputs, :n].T
+            for k in range(states):
+                kept[network, start : start + n, k] = values[program.kept[network, k], :n]
 
 
 @njit(error_model="numpy", fastmath={"reassoc"})
@@ -390,16 +374,15 @@ def backward(
         for start in range(0, size, _BLOCK):
             n = min(_BLOCK, size - start)
             _read_block(program, network, batch, values, start, n)
-            _read_rows(values[sensors:first_state], batch.output[network], start, n)
+            values[sensors:first_state, :n] = batch.output[network, start : start + n].T
             _evaluate_block(program, weight, network, dense, values, first_state, n)
             slope[:, :n] = ZERO
-            _read_rows(slope[sensors:first_state], gradient.output[network], start, n)
+            slope[sensors:first_state, :n] = gradient.output[network, start : start + n].T
             for k in range(states):
                 for b in range(n):
                     slope[program.kept[network, k], b] += gradient.kept[network, start + b, k]
             _adjoint(program, network, w, change, values, slope, outputs, further, n)
             if further:
-                _write_rows(gradient.observation[network], slope[:inputs], start, n)
-                _write_rows(
-                    gradient.state[network], slope[first_state : first_state + states], start, n
-                )
+                gradient.observation[network, start : start + n] = slope[:inputs, :n].T
+                state = slope[first_state : first_state + states, :n].T
+                gradient.state[network, start : start + n, :states] = state
