@@ -21,7 +21,7 @@ from neatq_torch.learning.learner import (
 )
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.replay import ReplayConfig, ReplayLearner
-from neatq_torch.learning.table import QTable, TableConfig, TableLearner
+from neatq_torch.learning.table import TableConfig, TableLearner
 from neatq_torch.learning.traces import TraceConfig, TraceLearner
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 from neatq_torch.network import PopulationNetwork
@@ -108,7 +108,7 @@ def _table(config: TableConfig, parts: LearnerParts) -> TableLearner:
             f"{type(parts.heads).__name__}"
         )
     low, high = parts.heads.low, parts.heads.low + parts.heads.span
-    return TableLearner(QTable(parts.shape, low.tolist(), high.tolist()), config, parts.seeds)
+    return TableLearner(parts.shape, low.tolist(), high.tolist(), config, parts.seeds)
 
 
 learner_kinds = Kinds("learner")

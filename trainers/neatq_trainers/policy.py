@@ -120,7 +120,7 @@ class TablePolicy(nn.Module):
 
     def __init__(self, learner: TableLearner) -> None:
         super().__init__()
-        self._table = learner.table
+        self._table = learner
 
     def reset(self) -> None:
         """A table remembers nothing of an episode."""
