@@ -19,9 +19,8 @@ NOBODY = -1
 class CandidateValue(TensorDictModuleBase):
     """The Q-values of all candidates of every robot, as a `CandidateTDLoss` needs them.
 
-    Reads `observation` [*shape, *batch, inputs], and `network_state` where the networks are
-    recurrent. Writes `action_value` [..., K] and `chosen_action_value` [..., 1], the largest of
-    them.
+    Reads `observation` [*shape, *batch, inputs] and `network_state`, if there is one. Writes
+    `action_value` [..., K] and `chosen_action_value` [..., 1], the largest of them.
 
     Args:
         network: The networks of all robots.
@@ -44,11 +43,8 @@ class CandidateValue(TensorDictModuleBase):
     @dispatch  # pyright: ignore[reportArgumentType]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Add the values of the candidates to `tensordict`."""
-        observation = tensordict.get("observation")
-        if self.network.state_size:
-            output = self.network.step(observation, tensordict.get("network_state"))[0]
-        else:
-            output = self.network(observation)
+        state = tensordict.get("network_state", None)
+        output = self.network(tensordict.get("observation"), state)
         if self.propose:
             candidates, values = self.heads(output)
             tensordict.set("candidates", candidates)

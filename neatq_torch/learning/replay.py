@@ -180,20 +180,12 @@ def rehearse(
     steps: int,
     batch: int,
 ) -> Tensor:
-    """Let a learner take steps on stored transitions.
+    """Let a learner take steps, each on a minibatch of so many stored transitions.
 
-    Compiled code takes them where it can (`compiled_wires.can_teach`), up to rounding the same.
-
-    Args:
-        learner: Of networks of shape (arenas, robots); its loss has the reduction `sum`.
-        memories: What is learnt from.
-        generators: One for each memory, on the CPU: all chance.
-        memory_of: The number in `memories` from which the robots of each arena learn [arenas].
-        steps: Minibatches.
-        batch: Transitions of a minibatch.
-
-    Returns:
-        Mean squared TD error of each network on the last minibatch [*shape].
+    Its loss has the reduction `sum`, its networks the shape (arenas, robots); `memory_of` says from
+    which memory each arena learns. All chance is that of the generators, one for each memory, on
+    the CPU. Compiled code takes the steps where it can (`compiled_wires.can_teach`), up to rounding
+    the same. Returns the mean squared TD error of each network on the last minibatch [*shape].
     """
     drawn = _draw(memories, generators, memory_of, steps * batch)
     network = learner.network
@@ -235,7 +227,4 @@ def _for_all(learner: TDLearner, drawn: TensorDictBase) -> TensorDict:
     following["done"] = torch.ones_like(following["terminated"])
     now["candidate_index"] = now["action"][..., 0].long()
     now["genome_id"] = network.genome_id[..., None, None].expand(*shape, 1)
-    if network.state_size:
-        now["network_state"] = network.initial_state(shape[-1:])
-        following["network_state"] = network.initial_state(shape[-1:])
     return TensorDict(now | {"next": following}, shape)

@@ -167,11 +167,10 @@ class TraceLearner:
 
     def _values(self, batch: TensorDictBase, tick: int, *root: str) -> Tensor:
         """Q(s) of a tick, or with root "next" Q(s') [*shape, K]."""
-        network, observation = self.network, batch.get((*root, "observation"))[..., tick, :]
-        if network.state_size:
-            state = batch.get((*root, "network_state"))[..., tick, :]
-            return self.heads.values(network.step(observation, state)[0])
-        return self.heads.values(network(observation))
+        state = batch.get((*root, "network_state"), None)
+        state = None if state is None else state[..., tick, :]
+        observation = batch.get((*root, "observation"))[..., tick, :]
+        return self.heads.values(self.network(observation, state))
 
     def reset(self, newborn: Tensor) -> None:
         """Clear the traces of the genomes before (mask [*shape]), once newborns stand there."""

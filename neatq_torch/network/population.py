@@ -94,14 +94,15 @@ class PopulationNetwork(nn.Module):
         """The state of a network that has seen nothing: zeros [*shape, *batch, state_size]."""
         return self.weight.new_zeros(*self.shape, *batch, self.state_size)
 
-    def forward(self, observation: Tensor) -> Tensor:
+    def forward(self, observation: Tensor, state: Tensor | None = None) -> Tensor:
         """Outputs [*shape, *batch, outputs] for observations [*shape, *batch, inputs].
 
-        The batch of observations for each network may have any shape; all start from the initial
-        state.
+        The batch of observations for each network may have any shape; without a state, see `step`,
+        all start from the initial one.
         """
-        batch = observation.shape[len(self.shape) : -1]
-        state = self.initial_state(batch) if self.state_size else observation[..., :0]
+        if state is None:
+            batch = observation.shape[len(self.shape) : -1]
+            state = self.initial_state(batch) if self.state_size else observation[..., :0]
         return self.step(observation, state)[0]
 
     def step(self, observation: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
