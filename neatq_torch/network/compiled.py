@@ -14,6 +14,8 @@ from torch.nn import Parameter
 from neatq_torch.network import kernels
 from neatq_torch.network.levels import Plan
 
+_STATELESS = np.empty((1, 1, 0), np.float32)
+
 
 def accepts(*tensors: Tensor) -> bool:
     """Whether the kernels can stand in for torch operations on these tensors.
@@ -63,13 +65,12 @@ def _batch(
 ) -> kernels.Batch:
     layout, networks = plan.layout, len(plan.program.size)
     size = output.numel() // (networks * layout.outputs)
-    room = networks, size, layout.state
-    memory = _floats(state).reshape(room) if layout.state else np.empty(room, np.float32)
+    memory = _floats(state).reshape(networks, size, layout.state) if layout.state else _STATELESS
     return kernels.Batch(
         _floats(observation).reshape(networks, size, layout.inputs),
         memory,
         _floats(output).reshape(networks, size, layout.outputs),
-        memory if kept is state else _floats(kept).reshape(room),
+        memory if kept is state else _floats(kept).reshape(memory.shape),
     )
 
 

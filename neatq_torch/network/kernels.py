@@ -248,7 +248,8 @@ def _read_block(
     first_hidden = first_state + states
     values[:inputs, :n] = batch.observation[network, start : start + n].T
     values[inputs] = ONE
-    values[first_state:first_hidden, :n] = batch.state[network, start : start + n, :states].T
+    for k in range(states):
+        values[first_state + k, :n] = batch.state[network, start : start + n, k]
     values[first_hidden : first_hidden + program.size[network, 2]] = ZERO
 
 
@@ -299,15 +300,6 @@ def _dot(left: Floats, right: Floats, n: int) -> np.float32:
 
 
 @njit(error_model="numpy")
-def _is_zero(values: Floats, n: int) -> bool:
-    """Whether the first n values are all zero."""
-    other = 0
-    for b in range(n):
-        other += values[b] != ZERO
-    return other == 0
-
-
-@njit(error_model="numpy")
 def _adjoint(
     program: Program,
     network: int,
@@ -333,13 +325,13 @@ def _adjoint(
         link -= links
         for r in range(row, row + instruction[i, 1]):
             _derive(gradient[r, :n], values[r, :n], instruction[i, 3])
-        if links == 0 or _is_zero(gradient[row], n):
+        if links == 0 or not np.any(gradient[row, :n]):
             continue
         for k in range(link, link + links):
             change[dense + k] += _dot(values[source[k]], gradient[row], n)
             _add(gradient[source[k]], gradient[row], weight[dense + k], n)
     for o in range(outputs):
-        if _is_zero(gradient[sensors + o], n):
+        if not np.any(gradient[sensors + o, :n]):
             continue
         for c in range(o, dense, outputs):
             if live[c]:
@@ -384,5 +376,5 @@ def backward(
             _adjoint(program, network, w, change, values, slope, outputs, further, n)
             if further:
                 gradient.observation[network, start : start + n] = slope[:inputs, :n].T
-                state = slope[first_state : first_state + states, :n].T
-                gradient.state[network, start : start + n, :states] = state
+                for k in range(states):
+                    gradient.state[network, start : start + n, k] = slope[first_state + k, :n]

@@ -169,15 +169,9 @@ def _compile(structure: _Structure, evaluation: Evaluation) -> GenomePlan:
     read[source[now]] = True
     links = np.bincount(target[sparse], minlength=len(kind))
     instruction = _instructions(genome, row, level, links, read)
+    hidden = int((kind == NodeKind.HIDDEN).sum())
     return GenomePlan(
-        need=Layout(
-            inputs=inputs,
-            outputs=outputs,
-            state=len(state),
-            hidden=int((kind == NodeKind.HIDDEN).sum()),
-            sparse=len(sparse),
-            instructions=len(instruction),
-        ),
+        need=Layout(inputs, outputs, len(state), hidden, len(sparse), len(instruction)),
         enabled=enabled.astype(np.int32),
         column=column,
         kept=row[state],
