@@ -146,11 +146,8 @@ class CandidatePolicy(TensorDictModuleBase):
         """Recurrent state and exploration; torch's own for a module around it."""
         if args or settings:
             return super().state_dict(*args, **settings)
-        return {
-            "memory": self.memory,
-            "previous": self.previous,
-            "exploration": self.exploration.state_dict(),
-        }
+        own = {"memory": self.memory, "previous": self.previous}
+        return own | {"exploration": self.exploration.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Go on from `state`."""

@@ -2,8 +2,7 @@
 
 Every number is that of the torch operations up to rounding. Networks do not mix, and every sum is
 in one fixed order: the arenas and robots beside a network do not change a bit of its results. All
-functions that numba compiles stay in this one file, as numba's cache does not notice when a
-function of another file has changed.
+compiled functions stay in this one file; `kernels.py` says why.
 """
 
 from __future__ import annotations
@@ -124,8 +123,7 @@ def learn(
         went = kernels.Batch(now, state, output, state)
         wanted = kernels.Batch(now, state, slope, no_slope)
         kernels.backward(*order, pupils.weight, went, gradient, wanted, False)
-        moments = pupils.first_moment, pupils.second_moment
-        rate = pupils.learning_rate
+        moments, rate = (pupils.first_moment, pupils.second_moment), pupils.learning_rate
         _descend(pupils.weight, gradient, moments, pupils.steps, rate, learner.adam)
         if tau is not None:
             pupils.target[:] += np.float32(tau) * (pupils.weight - pupils.target)

@@ -145,8 +145,7 @@ class ReplayLearner:
             network.weight.data[slots] = torch.from_numpy(pupils.weight)
             return
         genomes = [network.genome(slot) for slot in slots]
-        shape = (len(slots), 1)
-        young = PopulationNetwork(genomes, shape=shape, evaluation=network.evaluation)
+        young = PopulationNetwork(genomes, shape=(len(slots), 1), evaluation=network.evaluation)
         loss = self._make_loss(young.to(network.weight.device))
         loss.discount = None if own is None else own.unsqueeze(1)
         learner = TDLearner(young, loss, self.learner.config)
