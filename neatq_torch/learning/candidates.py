@@ -10,8 +10,7 @@ from torch import Tensor
 
 from neatq_torch.learning.exploration import EpsilonGreedy
 from neatq_torch.learning.heads import Heads, check_heads
-from neatq_torch.learning.learner import fitted
-from neatq_torch.network import PopulationNetwork
+from neatq_torch.network import PopulationNetwork, fitted
 
 NOBODY = -1
 """The genome id of transitions that nobody learns from."""
@@ -20,9 +19,8 @@ NOBODY = -1
 class CandidateValue(TensorDictModuleBase):
     """The Q-values of all candidates of every robot, as a `CandidateTDLoss` needs them.
 
-    Reads `observation` [*shape, *batch, inputs], and `network_state` where the networks are
-    recurrent. Writes `action_value` [..., K] and `chosen_action_value` [..., 1], the largest of
-    them.
+    Reads `observation` [*shape, *batch, inputs] and `network_state`, if there is one. Writes
+    `action_value` [..., K] and `chosen_action_value` [..., 1], the largest of them.
 
     Args:
         network: The networks of all robots.
@@ -45,11 +43,8 @@ class CandidateValue(TensorDictModuleBase):
     @dispatch  # pyright: ignore[reportArgumentType]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Add the values of the candidates to `tensordict`."""
-        observation = tensordict.get("observation")
-        if self.network.state_size:
-            output = self.network.step(observation, tensordict.get("network_state"))[0]
-        else:
-            output = self.network(observation)
+        state = tensordict.get("network_state", None)
+        output = self.network(tensordict.get("observation"), state)
         if self.propose:
             candidates, values = self.heads(output)
             tensordict.set("candidates", candidates)
@@ -122,8 +117,7 @@ class CandidatePolicy(TensorDictModuleBase):
         candidates, values = self.heads(output)
         index = self.exploration(values)
         taken = index.unsqueeze(-1)
-        chosen = taken.unsqueeze(-1).expand(*taken.shape, self.heads.actions)
-        action = candidates.gather(-2, chosen).squeeze(-2)
+        action = candidates.take_along_dim(taken.unsqueeze(-1), -2).squeeze(-2)
         owner, living = self.network.genome_id.unsqueeze(-1), tensordict.get("living", None)
         tensordict.set("candidates", candidates)
         tensordict.set("action_value", values)
@@ -152,11 +146,8 @@ class CandidatePolicy(TensorDictModuleBase):
         """Recurrent state and exploration; torch's own for a module around it."""
         if args or settings:
             return super().state_dict(*args, **settings)
-        return {
-            "memory": self.memory,
-            "previous": self.previous,
-            "exploration": self.exploration.state_dict(),
-        }
+        own = {"memory": self.memory, "previous": self.previous}
+        return own | {"exploration": self.exploration.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Go on from `state`."""

@@ -2,8 +2,7 @@
 
 Every number is that of the torch operations up to rounding. Networks do not mix, and every sum is
 in one fixed order: the arenas and robots beside a network do not change a bit of its results. All
-functions that numba compiles stay in this one file, as numba's cache does not notice when a
-function of another file has changed.
+compiled functions stay in this one file; `kernels.py` says why.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from collections.abc import Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
-import torch
 from numba import njit
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -34,19 +32,6 @@ _F0, _F1, _F2 = np.float32(0), np.float32(1), np.float32(2)
 _BETA1, _BETA2 = ADAM_BETAS
 _MOVE1, _MOVE2 = np.float32(1 - _BETA1), np.float32(1 - _BETA2)
 _SMALL = np.float32(ADAM_EPSILON)
-
-
-class Minibatches(NamedTuple):
-    """Minibatches of transitions [arenas, steps, size], which all robots of an arena share.
-
-    Where each network has a gamma of its own, rewards and discounts have networks for arenas.
-    """
-
-    observation: Floats  # [arenas, steps, size, inputs]
-    action: Floats  # [arenas, steps, size, A]
-    reward: Floats  # weighed sums
-    discount: Floats  # of the next state's value, 0 where that is terminal
-    following: Floats  # the next observation, as the observation
 
 
 class Pupils(NamedTuple):
@@ -95,56 +80,50 @@ def pupils_of(learner: TDLearner) -> Pupils:
 
 def newborns_of(learner: TDLearner, slots: Sequence[int]) -> Pupils:
     """A copy of the networks in some slots (flat), with nothing learnt yet."""
-    plan, count = learner.network.plan, len(slots)
+    plan = learner.network.plan
     weight = learner.network.weight.detach().numpy()[slots]
     target = weight if learner.target_weight is None else weight.copy()
     moments = np.zeros_like(weight), np.zeros_like(weight)
-    rate = np.full(count, learner.config.learning_rate / learner.square, np.float32)
-    program, steps = plan.program.of(slots), np.zeros(count, np.float32)
-    return Pupils(program, plan.layout.rows, weight, target, *moments, steps, rate)
+    rate = np.full(len(slots), learner.config.learning_rate / learner.square, np.float32)
+    program = Program._make(part[slots] for part in plan.program)
+    own = weight, target, *moments, np.zeros_like(rate), rate
+    return Pupils(program, plan.layout.rows, *own)
 
 
 def learn(
-    pupils: Pupils,
-    learner: TDLearner,
-    drawn: Sequence[TensorDictBase],
-    steps: int,
-    discount: Tensor | None,
+    pupils: Pupils, learner: TDLearner, drawn: TensorDictBase, steps: int, discount: Tensor | None
 ) -> Floats:
-    """Take one step on each minibatch.
+    """Take one step on each minibatch, as the learner would: its networks or others, the pupils.
 
-    Args:
-        pupils: Networks [arenas * robots], by arena.
-        learner: Says how; its own networks are not touched unless they are the pupils.
-        drawn: Transitions for each arena [steps * size]; with one gamma for all, rewards are summed
-            up already.
-        steps: Minibatches.
-        discount: gamma of each pupil [networks]; None: the loss's.
-
-    Returns:
-        Mean squared TD error of each network on the last minibatch [networks].
+    These stand arena after arena, each with a gamma of its own in `discount`; None: with the
+    loss's, and rewards are summed up already. They learn from `drawn` [arenas, steps * size].
+    Returns the mean squared TD error of each network on the last minibatch [networks].
     """
-    batches, wires = _minibatches(learner, drawn, steps, discount), _wires_of(learner)
-    robots, size = len(pupils.weight) // len(drawn), batches.action.shape[2]
-    each = (len(pupils.weight), size)
-    output, following, slope = np.empty((3, *each, learner.network.outputs), np.float32)
+    networks, arenas, wires = len(pupils.weight), len(drawn), _wires_of(learner)
+    observation, following, action = (
+        _part(drawn, name, steps) for name in ("observation", ("next", "observation"), "action")
+    )
+    reward, ahead = _returns(learner, drawn, steps, discount)
+    reward, ahead = (np.repeat(one, networks // len(one), 0) for one in (reward, ahead))
+    each = (networks, action.shape[2])
+    output, slope = np.empty((2, *each, learner.network.outputs), np.float32)
     state = np.zeros((*each, learner.network.state_size), np.float32)
     kept, gradient = np.empty_like(state), np.empty_like(pupils.weight)
-    no_slope, error = np.zeros_like(state), np.zeros(each[0], np.float32)
+    no_slope, error = np.zeros_like(state), np.zeros(networks, np.float32)
     order, tau = (pupils.program, pupils.rows), learner.config.target_tau
     for step in range(steps):
-        observations = batches.observation[:, step], batches.following[:, step]
-        now, then = (np.repeat(part, robots, 0) for part in observations)
-        kernels.forward(*order, pupils.target, then, state, following, kept)
+        observations = observation[:, step], following[:, step]
+        now, then = (np.repeat(part, networks // arenas, 0) for part in observations)
+        kernels.forward(*order, pupils.target, then, state, output, kept)
+        best = wires.value_low + wires.value_span * output[..., -wires.candidates :].max(-1)
+        target = reward[:, step] + ahead[:, step] * best
         kernels.forward(*order, pupils.weight, now, state, output, kept)
-        target = _targets(following, batches.reward[:, step], batches.discount[:, step], wires)
-        _slopes(output, batches.action[:, step], target, wires, slope, error)
+        _slopes(output, action[:, step], target, wires, slope, error)
         gradient[:] = 0
         went = kernels.Batch(now, state, output, state)
         wanted = kernels.Batch(now, state, slope, no_slope)
         kernels.backward(*order, pupils.weight, went, gradient, wanted, False)
-        moments = pupils.first_moment, pupils.second_moment
-        rate = pupils.learning_rate
+        moments, rate = (pupils.first_moment, pupils.second_moment), pupils.learning_rate
         _descend(pupils.weight, gradient, moments, pupils.steps, rate, learner.adam)
         if tau is not None:
             pupils.target[:] += np.float32(tau) * (pupils.weight - pupils.target)
@@ -159,42 +138,34 @@ def _wires_of(learner: TDLearner) -> Wires:
     return Wires(heads.candidates, heads.low.numpy(), loss.unit.numpy(), *numbers)
 
 
-def _minibatches(
-    learner: TDLearner, drawn: Sequence[TensorDictBase], steps: int, discount: Tensor | None
-) -> Minibatches:
-    def part(*name: str) -> Floats:
-        rows = torch.stack([each.get(name) for each in drawn]).float().numpy()
-        return rows.reshape(len(drawn), steps, -1, rows.shape[-1])
+def _part(drawn: TensorDictBase, name: str | tuple[str, str], steps: int) -> Floats:
+    """An entry of each minibatch [arenas, steps, size, n]."""
+    rows = drawn.get(name).float().numpy()
+    return rows.reshape(len(drawn), steps, -1, rows.shape[-1])
 
-    reward, ahead = part("next", "reward"), part("steps_to_next_obs")[..., 0]
-    going_on = 1 - part("next", "terminated")[..., 0]
+
+def _returns(
+    learner: TDLearner, drawn: TensorDictBase, steps: int, discount: Tensor | None
+) -> tuple[Floats, Floats]:
+    """Weighed sums of rewards, and discounts of the next state's value, 0 where it is terminal.
+
+    For each arena, or each network if these have discounts of their own [rows, steps, size].
+    """
+    names = ("next", "reward"), "steps_to_next_obs", ("next", "terminated")
+    reward, ahead, over = (_part(drawn, name, steps) for name in names)
+    ahead, going_on = ahead[..., 0], 1 - over[..., 0]
     if discount is None:
         gamma = np.array([discount_of(learner.loss)])
     else:
-        gamma = discount.numpy().astype(np.float64)
+        gamma = discount.flatten().numpy().astype(np.float64)
         sharing = len(gamma) // len(drawn)
         reward, ahead, going_on = (np.repeat(one, sharing, 0) for one in (reward, ahead, going_on))
     weight = gamma[:, None] ** np.arange(reward.shape[-1])
     if learner.loss.normalize_return:
         weight *= 1 - gamma[:, None]
     each = gamma.astype(np.float32)[:, None, None]
-    return Minibatches(
-        part("observation"),
-        part("action"),
-        (reward @ weight.astype(np.float32)[:, None, :, None])[..., 0],
-        going_on * np.power(each, ahead, dtype=np.float32),
-        part("next", "observation"),
-    )
-
-
-def _targets(following: Floats, reward: Floats, discount: Floats, wires: Wires) -> Floats:
-    """What is learnt towards [networks, size], from outputs for the next states [.., outputs].
-
-    Rewards and discounts have a row for all networks of an arena, or for each [rows, size].
-    """
-    best = following[..., -wires.candidates :].max(-1)
-    reward, discount = (np.repeat(one, len(best) // len(one), 0) for one in (reward, discount))
-    return reward + discount * (wires.value_low + wires.value_span * best)
+    total = (reward @ weight.astype(np.float32)[:, None, :, None])[..., 0]
+    return total, going_on * np.power(each, ahead, dtype=np.float32)
 
 
 @njit(cache=True, error_model="numpy")
@@ -215,9 +186,7 @@ def _slopes(
     wrong, mean, total = np.empty((3, size), np.float32)
     fit = near, gap, mean, total
     for network in range(networks):
-        for o in range(outputs):
-            for i in range(size):
-                out[o, i] = output[network, i, o]
+        out[:] = output[network].T
         _distances(out, action[network // robots], wires, away)
         _weigh(out, away, wires, fit)
         best = out[outputs - candidates :]
@@ -228,9 +197,7 @@ def _slopes(
             squares += wrong[i] * wrong[i]
         error[network] = squares / np.float32(size)
         _spread(out, away, wires, fit, wrong, moved)
-        for o in range(outputs):
-            for i in range(size):
-                slope[network, i, o] = moved[o, i]
+        slope[network] = moved.T
 
 
 @njit(error_model="numpy")
@@ -252,8 +219,7 @@ def _weigh(out: Floats, away: Floats, wires: Wires, fit: Fit) -> None:
     near, gap, mean, total = fit
     candidates, actions, size = wires.candidates, len(wires.low), out.shape[1]
     first = candidates * actions
-    for i in range(size):
-        mean[i], total[i] = out[first, i], _F0
+    mean[:], total[:] = out[first], _F0
     for k in range(1, candidates):
         for i in range(size):
             mean[i] = max(mean[i], out[first + k, i])  # the best output, for now
@@ -264,8 +230,7 @@ def _weigh(out: Floats, away: Floats, wires: Wires, fit: Fit) -> None:
         for row in range(k * actions, (k + 1) * actions):
             for i in range(size):
                 near[k, i] += away[row, i] * away[row, i]
-    for i in range(size):
-        mean[i] = _F0
+    mean[:] = _F0
     for k in range(candidates):
         for i in range(size):
             near[k, i] = _F1 / near[k, i]

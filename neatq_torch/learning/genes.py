@@ -65,10 +65,8 @@ class LearningGenes:
                 "cannot mutate"
             )
         self.power = power
-        self.least, self.most = (
-            start / GENE_RANGE,
-            np.minimum(start * GENE_RANGE, [np.inf, 1.0, 1.0]),
-        )
+        self.least = start / GENE_RANGE
+        self.most = np.minimum(start * GENE_RANGE, [np.inf, 1.0, 1.0])
         self._learner, self._exploration = learner, exploration
         self.generators = [np.random.default_rng(seed) for seed in seeds]
         self._genome_id = np.array(

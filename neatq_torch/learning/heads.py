@@ -52,6 +52,11 @@ class Heads(nn.Module):
         low, high = self.value_range
         return values if self.value_range == (0.0, 1.0) else low + (high - low) * values
 
+    def best(self, output: Tensor) -> Tensor:
+        """The candidate of the greatest value [..., A], of equal ones the first."""
+        candidates, values = self(output)
+        return candidates.take_along_dim(values.argmax(-1)[..., None, None], -2).squeeze(-2)
+
 
 class CandidateHeads(Heads):
     """Reads network outputs as K candidate actions and a Q-value for each.

@@ -6,24 +6,24 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, cast, get_args
+from typing import Any, Literal, Protocol, cast
 
-import numpy as np
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor, nn
+from torch import Tensor
 from torchrl.objectives import SoftUpdate
 
 from neatq_torch.evolution import Population
+from neatq_torch.kinds import check_fields
 from neatq_torch.learning.heads import Heads
 from neatq_torch.learning.objectives import CandidateTDLoss
-from neatq_torch.network import PopulationNetwork
+from neatq_torch.network import PopulationNetwork, fitted
 
 ADAM_BETAS, ADAM_EPSILON = (0.9, 0.999), 1e-8
-_KEPT = ("learning_rate", "steps", "first_moment", "second_moment")
 Saved = dict[str, Any]
 """What a checkpoint keeps: JSON values, tensors and numpy arrays by name."""
 
+Optimizer = Literal["sgd", "adam"]
 Inheritance = Literal["lamarckian", "darwinian"]
 """`lamarckian`: learnt weights are written into the genome before it breeds. `darwinian`: learning
 changes the robot's life and fitness, its genes never."""
@@ -70,23 +70,6 @@ class Learner(Protocol):
         """Go on from `state`."""
 
 
-_COUNTS = ("max_hold_ticks", "updates", "size", "horizon", "keep_every", "capacity")
-_LEAST = {"newborn_updates": 0} | dict.fromkeys(_COUNTS, 1)
-
-
-def check_settings(config: object) -> None:
-    """Raise ValueError for the first setting of a learner's configuration that is out of range."""
-    for name, value in vars(config).items():
-        if name == "learning_rate" and not 0 <= value < math.inf:
-            raise ValueError(f"{name}: expected a finite number of at least 0, got {value}")
-        if name in ("discount", "trace_decay", "epsilon") and not 0 <= value <= 1:
-            raise ValueError(f"{name}: expected within [0, 1], got {value}")
-        if name in _LEAST and value < _LEAST[name]:
-            raise ValueError(f"{name}: expected at least {_LEAST[name]}, got {value}")
-        if name == "inheritance" and value not in get_args(Inheritance):
-            raise ValueError(f"{name}: expected one of {get_args(Inheritance)}, got {value!r}")
-
-
 @dataclass(frozen=True, kw_only=True)
 class NoLearningConfig:
     """Evolution alone: no exploration, and nothing that genes could inherit."""
@@ -129,7 +112,7 @@ class StepConfig:
     """
 
     learning_rate: float = 0.1
-    optimizer: Literal["sgd", "adam"] = "sgd"
+    optimizer: Optimizer = "sgd"
     target_tau: float | None = None
     discount: float = 0.8
     normalize_return: bool = True
@@ -139,17 +122,10 @@ class StepConfig:
     genes: float | None = None
 
     def __post_init__(self) -> None:
-        """Check every value."""
-        check_settings(self)
-        if self.optimizer not in ("sgd", "adam"):
-            raise ValueError(f"optimizer: expected 'sgd' or 'adam', got {self.optimizer!r}")
-        if self.target_tau is not None and not 0 < self.target_tau <= 1:
-            raise ValueError(f"target_tau: expected within (0, 1], got {self.target_tau}")
-        if self.genes is None:
-            return
-        if not 0 < self.genes < math.inf:
-            raise ValueError(f"genes: expected a finite number above 0, got {self.genes}")
-        if not (self.epsilon and self.learning_rate and self.discount < 1):
+        check_fields(self, learning_rate="[0, inf)", optimizer=Optimizer, target_tau="(0, 1]")
+        check_fields(self, discount="[0, 1]", epsilon="[0, 1]", max_hold_ticks="[1, inf]")
+        check_fields(self, inheritance=Inheritance, genes="(0, inf)")
+        if self.genes and not (self.epsilon and self.learning_rate and self.discount < 1):
             raise ValueError(
                 "genes: founders need an epsilon and a learning_rate above 0 and a discount below "
                 f"1, got {self.epsilon}, {self.learning_rate} and {self.discount}"
@@ -171,6 +147,10 @@ class TDConfig(StepConfig):
 
     trace_decay: float = 0.0
     wires: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_fields(self, trace_decay="[0, 1]")
 
 
 class TDLearner:
@@ -242,8 +222,7 @@ class TDLearner:
     @contextmanager
     def sparing(self, spared: Tensor) -> Iterator[None]:
         """Leave some networks [networks] and their optimiser alone, whatever happens meanwhile."""
-        parts = [self.network.weight.detach(), self.steps, self.first_moment, self.second_moment]
-        parts += [] if self.target_weight is None else [self.target_weight.detach()]
+        parts = [self.network.weight.detach(), *self.state_dict().values()]
         before = [part.clone() for part in parts]
         yield
         for part, old in zip(parts, before, strict=True):
@@ -270,17 +249,12 @@ class TDLearner:
     @torch.no_grad()
     def reset(self, newborn: Tensor) -> None:
         """Clear moments, steps and targets of the genomes before, once newborns stand there."""
-        weight = self.network.weight
-        born = newborn.reshape(-1, 1)
-        self.first_moment = fitted(self.first_moment, weight)
-        self.second_moment = fitted(self.second_moment, weight)
+        weight, born = self.network.weight, newborn.reshape(-1, 1)
         self.steps.masked_fill_(born.squeeze(1), 0)
-        self.first_moment.masked_fill_(born, 0)
-        self.second_moment.masked_fill_(born, 0)
-        target = self.target_weight
-        if target is not None:
-            target.data = fitted(target.data, weight)
-            target.copy_(torch.where(born, weight, target))
+        self.first_moment = fitted(self.first_moment, weight).masked_fill(born, 0)
+        self.second_moment = fitted(self.second_moment, weight).masked_fill(born, 0)
+        if (target := self.target_weight) is not None:
+            target.data = torch.where(born, weight, fitted(target.data, weight))
 
     @property
     def target_weight(self) -> Tensor | None:
@@ -291,7 +265,8 @@ class TDLearner:
 
     def state_dict(self) -> Saved:
         """Learning rates, moments, steps and target parameters."""
-        state = {name: getattr(self, name) for name in _KEPT}
+        names = ("learning_rate", "steps", "first_moment", "second_moment")
+        state = {name: getattr(self, name) for name in names}
         if self.target_weight is not None:
             state["target_weight"] = self.target_weight.detach()
         return state
@@ -299,12 +274,8 @@ class TDLearner:
     @torch.no_grad()
     def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`."""
-        for name in _KEPT:
-            own = getattr(self, name)
+        for name, own in self.state_dict().items():
             own.copy_(fitted(state[name], own))
-        target = self.target_weight
-        if target is not None:
-            target.copy_(fitted(state["target_weight"], target))
 
 
 def take_over(weight: Tensor, changed: Tensor, wanted: Tensor | None = None) -> Tensor:
@@ -317,12 +288,3 @@ def take_over(weight: Tensor, changed: Tensor, wanted: Tensor | None = None) -> 
         finite &= wanted
     weight.copy_(torch.where(finite, changed, weight))
     return finite
-
-
-def fitted(values: Tensor | np.ndarray, own: Tensor) -> Tensor:
-    """Values [..., old] on the device of `own` [..., columns], cut or padded to as many columns.
-
-    Columns that only one of them has belong to no link or no node, and hold zeros.
-    """
-    values = torch.as_tensor(values).to(own)
-    return nn.functional.pad(values, (0, own.shape[-1] - values.shape[-1]))

@@ -21,7 +21,7 @@ from neatq_torch.learning.learner import (
 )
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.replay import ReplayConfig, ReplayLearner
-from neatq_torch.learning.table import QTable, TableConfig, TableLearner
+from neatq_torch.learning.table import TableConfig, TableLearner
 from neatq_torch.learning.traces import TraceConfig, TraceLearner
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 from neatq_torch.network import PopulationNetwork
@@ -53,11 +53,7 @@ class LearnerParts(NamedTuple):
         return self.network
 
     def valued(self) -> PopulationNetwork:
-        """The networks, whose outputs have Q-values.
-
-        Raises:
-            ConfigError: If they have none.
-        """
+        """The networks, whose outputs have Q-values; ConfigError if they have none."""
         if self.heads.candidates < 2:
             raise ConfigError(
                 f"network.candidates: expected at least 2, got {self.heads.candidates}; with one "
@@ -90,6 +86,10 @@ def _td(config: TDConfig, parts: LearnerParts) -> TDLearner:
     return TDLearner(network, _loss(config, network, parts.heads, wires=config.wires), config)
 
 
+def _traces(config: TraceConfig, parts: LearnerParts) -> TraceLearner:
+    return TraceLearner(parts.valued(), parts.heads, config, episodes=parts.episodes)
+
+
 def _replay(config: ReplayConfig, parts: LearnerParts) -> ReplayLearner:
     def make_loss(network: PopulationNetwork) -> CandidateTDLoss:
         return _loss(config, network, parts.heads, wires=True)
@@ -108,7 +108,7 @@ def _table(config: TableConfig, parts: LearnerParts) -> TableLearner:
             f"{type(parts.heads).__name__}"
         )
     low, high = parts.heads.low, parts.heads.low + parts.heads.span
-    return TableLearner(QTable(parts.shape, low.tolist(), high.tolist()), config, parts.seeds)
+    return TableLearner(parts.shape, low.tolist(), high.tolist(), config, parts.seeds)
 
 
 learner_kinds = Kinds("learner")
@@ -118,23 +118,13 @@ learner_kinds = Kinds("learner")
 def register_learner(name: str, config: type, make: Callable[[Any, LearnerParts], Learner]) -> None:
     """Add a kind of learner, which `train` and the command line then know by its name.
 
-    Args:
-        name: What it is called.
-        config: Its configuration, a frozen keyword-only dataclass with defaults.
-        make: Makes a `Learner` from a configuration and the parts of a run.
-
-    Raises:
-        ConfigError: If the name or the class belongs to another learner.
+    `make` makes it from a configuration and the parts of a run; see `Kinds.register`.
 
     Example:
         >>> register_learner("mine", MyConfig, make_mine)
         >>> train("wall", learner="mine")
     """
     learner_kinds.register(name, config, make)
-
-
-def _traces(config: TraceConfig, parts: LearnerParts) -> TraceLearner:
-    return TraceLearner(parts.valued(), parts.heads, config, episodes=parts.episodes)
 
 
 register_learner("none", NoLearningConfig, lambda _, parts: NoLearning(parts.networks()))

@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from neatq_torch.kinds import check_fields
 from neatq_torch.learning import compiled_wires
 from neatq_torch.learning.heads import CandidateHeads
 from neatq_torch.learning.learner import Saved, StepConfig, TDLearner
@@ -42,6 +43,12 @@ class ReplayConfig(StepConfig):
     horizon: int = 1
     keep_every: int = 4
     capacity: int = 20_000
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_fields(self, newborn_updates="[0, inf]")
+        for name in ("updates", "size", "horizon", "keep_every", "capacity"):
+            check_fields(self, **{name: "[1, inf]"})
 
 
 class ReplayLearner:
@@ -117,8 +124,8 @@ class ReplayLearner:
         return torch.where(asleep.unsqueeze(1).to(error.device), 0, error)
 
     def _rehearse(self) -> Tensor:
-        each = self.memories, self.generators, range(len(self.memories))
-        return rehearse(self.learner, *each, steps=self.config.updates, batch=self.config.size)
+        stores = self.memories, self.generators, range(len(self.memories))
+        return rehearse(self.learner, *stores, steps=self.config.updates, batch=self.config.size)
 
     def reset(self, newborn: Tensor) -> None:
         """Teach newborns (mask [arenas, robots]) and clear what belonged to those before."""
@@ -129,25 +136,20 @@ class ReplayLearner:
     def _teach(self, newborn: Tensor) -> None:
         network, config, discount = self.learner.network, self.config, self.learner.loss.discount
         slots = newborn.flatten().nonzero().flatten().tolist()
-        arenas = sorted({slot // network.shape[1] for slot in slots})  # no other arena may draw
-        memory_of = [arenas.index(slot // network.shape[1]) for slot in slots]
-        memories = [self.memories[arena] for arena in arenas]
-        generators = [self.generators[arena] for arena in arenas]
+        stores = self.memories, self.generators, [slot // network.shape[1] for slot in slots]
         own = None if discount is None else discount.flatten()[slots]
         if compiled_wires.can_teach(self.learner):
             pupils = compiled_wires.newborns_of(self.learner, slots)
-            drawn = _draw(memories, generators, config.newborn_updates * config.size)
-            shared = [drawn[row] for row in memory_of]
-            compiled_wires.learn(pupils, self.learner, shared, config.newborn_updates, own)
+            drawn = _draw(*stores, config.newborn_updates * config.size)
+            compiled_wires.learn(pupils, self.learner, drawn, config.newborn_updates, own)
             network.weight.data[slots] = torch.from_numpy(pupils.weight)
             return
         genomes = [network.genome(slot) for slot in slots]
-        shape = (len(slots), 1)
-        young = PopulationNetwork(genomes, shape=shape, evaluation=network.evaluation)
+        young = PopulationNetwork(genomes, shape=(len(slots), 1), evaluation=network.evaluation)
         loss = self._make_loss(young.to(network.weight.device))
         loss.discount = None if own is None else own.unsqueeze(1)
-        each = TDLearner(young, loss, self.learner.config), memories, generators, memory_of
-        rehearse(*each, steps=config.newborn_updates, batch=config.size)
+        learner = TDLearner(young, loss, self.learner.config)
+        rehearse(learner, *stores, steps=config.newborn_updates, batch=config.size)
         for slot, genome in zip(slots, young.genomes(), strict=True):
             network.replace(slot, genome)
 
@@ -177,53 +179,43 @@ def rehearse(
     steps: int,
     batch: int,
 ) -> Tensor:
-    """Let a learner take steps on stored transitions.
+    """Let a learner take steps, each on a minibatch of so many stored transitions.
 
-    Compiled code takes them where it can (`compiled_wires.can_teach`), up to rounding the same.
-
-    Args:
-        learner: Of networks of shape (arenas, robots); its loss has the reduction `sum`.
-        memories: What is learnt from.
-        generators: One for each memory, on the CPU: all chance.
-        memory_of: The number in `memories` from which the robots of each arena learn [arenas].
-        steps: Minibatches.
-        batch: Transitions of a minibatch.
-
-    Returns:
-        Mean squared TD error of each network on the last minibatch [*shape].
+    Its loss has the reduction `sum`, its networks the shape (arenas, robots); `memory_of` says from
+    which memory each arena learns. All chance is that of the generators, one for each memory, on
+    the CPU. Compiled code takes the steps where it can (`compiled_wires.can_teach`), up to rounding
+    the same. Returns the mean squared TD error of each network on the last minibatch [*shape].
     """
-    drawn = _draw(memories, generators, steps * batch)
+    drawn = _draw(memories, generators, memory_of, steps * batch)
     network = learner.network
     if compiled_wires.can_teach(learner):
-        shared = [drawn[row] for row in memory_of]
-        own = None if learner.loss.discount is None else learner.loss.discount.flatten()
-        last = compiled_wires.learn(compiled_wires.pupils_of(learner), learner, shared, steps, own)
+        pupils = compiled_wires.pupils_of(learner)
+        last = compiled_wires.learn(pupils, learner, drawn, steps, learner.loss.discount)
         return torch.from_numpy(last).view(network.shape)
     error = torch.zeros_like(network.genome_id, dtype=torch.float32)
-    for step in range(steps):
-        part = [rows[step * batch : (step + 1) * batch] for rows in drawn]
-        error = learner.update(_for_all(learner, part, memory_of))
+    for part in drawn.to(network.weight.device).split(batch, 1):
+        error = learner.update(_for_all(learner, part))
     return error
 
 
 def _draw(
-    memories: Sequence[TransitionMemory], generators: Sequence[torch.Generator], size: int
-) -> list[TensorDictBase]:
-    """So many transitions of each memory, by its own generator."""
-    pairs = zip(memories, generators, strict=True)
-    return [memory.sample(size, generator) for memory, generator in pairs]
-
-
-def _for_all(
-    learner: TDLearner, drawn: Sequence[TensorDictBase], memory_of: Sequence[int]
+    memories: Sequence[TransitionMemory],
+    generators: Sequence[torch.Generator],
+    memory_of: Sequence[int],
+    size: int,
 ) -> TensorDict:
-    """A minibatch [size] of each memory as transitions [arenas, robots, size] of every network."""
+    """Transitions [arenas, size]; arenas of one memory get the same, and no other one draws."""
+    drawn = {row: memories[row].sample(size, generators[row]) for row in set(memory_of)}
+    return cast(TensorDict, TensorDict.stack([drawn[row] for row in memory_of]))
+
+
+def _for_all(learner: TDLearner, drawn: TensorDictBase) -> TensorDict:
+    """A minibatch [arenas, size] as transitions [arenas, robots, size] of every network."""
     network, discount = learner.network, learner.loss.discount
-    shape = (*network.shape, len(drawn[0]))
+    shape = (*network.shape, drawn.shape[1])
 
     def spread(name: str | tuple[str, str]) -> Tensor:
-        own = torch.stack([each.get(name) for each in drawn])[list(memory_of)]
-        own = own.to(network.weight.device)
+        own = drawn.get(name)
         return own.unsqueeze(1).expand(*shape, own.shape[-1])
 
     now = {name: spread(name) for name in NOW}
@@ -234,7 +226,4 @@ def _for_all(
     following["done"] = torch.ones_like(following["terminated"])
     now["candidate_index"] = now["action"][..., 0].long()
     now["genome_id"] = network.genome_id[..., None, None].expand(*shape, 1)
-    if network.state_size:
-        now["network_state"] = network.initial_state(shape[-1:])
-        following["network_state"] = network.initial_state(shape[-1:])
     return TensorDict(now | {"next": following}, shape)

@@ -13,7 +13,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from neatq_torch.learning.learner import Saved, check_settings
+from neatq_torch.kinds import check_fields
+from neatq_torch.learning.learner import Learner, Saved
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +32,7 @@ class TableConfig:
     epsilon: float = 0.1
 
     def __post_init__(self) -> None:
-        """Check every value."""
-        check_settings(self)
+        check_fields(self, learning_rate="[0, inf)", discount="[0, 1]", epsilon="[0, 1]")
 
 
 STATE_BINS = 5
@@ -40,22 +40,43 @@ ACTION_BINS = 3
 """Sensor values are rounded to {0, 1/4, ..., 1}; each action to its low, middle and high end."""
 
 
-class QTable:
-    """One Q-table for each robot; entries that were never visited are 0.
+class TableLearner(Learner):
+    """Watkins' Q-learning on the tables: Q += alpha (r + gamma max Q' - Q), as OpenNERO had it.
+
+    Its rewards were those of the place where an action began, not where it led, so the reward of
+    each tick is used one tick later here. They were negative, so that entries never visited, which
+    are 0, look best: the environment's rewards in [0, 1] are moved to [-1, 0]. Each robot has a
+    table, which survives the end of a life. With batches of one tick the update is on-line.
 
     Args:
         shape: (arenas, robots).
         low: Smallest action [A].
         high: Largest action [A].
+        config: Learning rate and discount, and how often the policy explores.
+        seeds: One seed for each arena.
+
+    Attributes:
+        policy: Acts by the tables.
+        actions: Those of the tables [actions, A].
+        values: Q-values of the visited entries, and room for more [entries, actions].
     """
 
-    def __init__(self, shape: Sequence[int], low: Sequence[float], high: Sequence[float]) -> None:
-        self.shape = tuple(shape)
+    def __init__(
+        self,
+        shape: Sequence[int],
+        low: Sequence[float],
+        high: Sequence[float],
+        config: TableConfig,
+        seeds: Sequence[int],
+    ) -> None:
+        self.shape, self.config = tuple(shape), config
         levels = [np.linspace(a, b, ACTION_BINS) for a, b in zip(low, high, strict=True)]
         self.actions = np.stack([a.ravel() for a in np.meshgrid(*levels, indexing="ij")], 1)
         self.low, self.high = np.array(low), np.array(high)
         self.values = np.zeros((1024, len(self.actions)))
         self._entries: dict[bytes, int] = {}
+        self._reward = np.zeros(self.shape)
+        self.policy = TableActor(self, seeds)
 
     def rows(self, observation: np.ndarray) -> np.ndarray:
         """The table rows [robots of all arenas] of observations [*shape, sensors]."""
@@ -75,51 +96,61 @@ class QTable:
         levels = np.rint(unit * (ACTION_BINS - 1)).astype(np.int64)
         return levels @ ACTION_BINS ** np.arange(levels.shape[-1])[::-1]
 
+    def update(self, batch: TensorDictBase) -> Tensor:
+        """Learn from transitions [*shape, ticks]; returns the mean squared TD error [*shape]."""
+        config, errors = self.config, []
+        for tick in range(batch.shape[-1]):
+            now = self.rows(batch.get("observation")[:, :, tick].numpy())
+            following = self.rows(batch.get(("next", "observation"))[:, :, tick].numpy())
+            action = self.index(batch.get("action")[:, :, tick].numpy()).ravel()
+            target = self._reward.ravel() + config.discount * self.values[following].max(-1)
+            error = target - self.values[now, action]
+            self.values[now, action] += config.learning_rate * error
+            errors.append(error**2)
+            self._reward = batch.get(("next", "reward"))[:, :, tick, 0].double().numpy() - 1
+        return torch.from_numpy(np.mean(errors, 0).reshape(self.shape))
+
     def state_dict(self) -> Saved:
-        """Visited entries as arrays: keys [entries, bytes] and values [entries, actions]."""
+        """Visited entries, keys [entries, bytes] and values [entries, actions]; latest rewards."""
         size = len(next(iter(self._entries), b""))
         keys = np.frombuffer(b"".join(self._entries), np.uint8).reshape(len(self._entries), size)
-        return {"keys": keys, "values": self.values[: len(self._entries)]}
+        return {"keys": keys, "values": self.values[: len(keys)], "reward": self._reward}
 
     def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`."""
         self._entries = {key.tobytes(): row for row, key in enumerate(state["keys"])}
         self.values = np.pad(state["values"], ((0, 1024), (0, 0)))
+        self._reward = state["reward"]
 
 
 class TableActor(TensorDictModuleBase):
-    """Epsilon-greedy over the table; an exploratory action is uniform over the whole range.
+    """Epsilon-greedy over the tables; an exploratory action is uniform over the whole range.
 
     Reads `observation`, writes `action`. Equal values are told apart at random, as in OpenNERO.
     A module, as collectors call what is none once more and so draw once more.
-
-    Args:
-        table: The tables.
-        epsilon: Probability of exploring, per tick and robot.
-        seeds: One seed for each arena.
     """
 
-    def __init__(self, table: QTable, epsilon: float, seeds: Sequence[int]) -> None:
+    def __init__(self, tables: TableLearner, seeds: Sequence[int]) -> None:
         super().__init__()
         self.in_keys, self.out_keys = ["observation"], ["action"]
-        self.table, self.epsilon = table, epsilon
+        self._tables = tables
         self.generators = [np.random.default_rng([seed, 2]) for seed in seeds]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Add every robot's action to `tensordict`."""
-        table = self.table
-        rows = table.rows(tensordict.get("observation").numpy())  # may replace table.values
-        values = table.values[rows]
-        arenas, robots = table.shape
+        tables = self._tables
+        rows = tables.rows(tensordict.get("observation").numpy())  # may replace tables.values
+        values = tables.values[rows]
+        arenas, robots = tables.shape
         noise = np.stack([rng.random((robots, values.shape[-1])) for rng in self.generators])
         best = values == values.max(-1, keepdims=True)
         greedy = np.where(best, noise.reshape(values.shape), -1.0).argmax(-1)
-        action = table.actions[greedy].reshape(arenas, robots, -1)
+        action = tables.actions[greedy].reshape(arenas, robots, -1)
         if exploration_type() in (None, ExplorationType.RANDOM):
             wide = 1 + action.shape[-1]
             draw = np.stack([rng.random((robots, wide)) for rng in self.generators])
-            explore = draw[..., :1] < self.epsilon
-            anywhere = table.low + draw[..., 1:] * (table.high - table.low)
+            explore = draw[..., :1] < tables.config.epsilon
+            anywhere = tables.low + draw[..., 1:] * (tables.high - tables.low)
             action = np.where(explore, anywhere, action)
         return tensordict.set("action", torch.from_numpy(action.astype(np.float32)))
 
@@ -136,53 +167,3 @@ class TableActor(TensorDictModuleBase):
         """Go on from `state`."""
         for rng, bits in zip(self.generators, state["generators"], strict=True):
             rng.bit_generator.state = bits
-
-
-class TableLearner:
-    """Watkins' Q-learning on the tables: Q += alpha (r + gamma max Q' - Q), as OpenNERO had it.
-
-    Its rewards were those of the place where an action began, not where it led, so the reward of
-    each tick is used one tick later here. They were negative, so that entries never visited, which
-    are 0, look best: the environment's rewards in [0, 1] are moved to [-1, 0]. Tables survive the
-    end of a life. With batches of one tick the update is on-line.
-
-    Args:
-        table: The tables.
-        config: Learning rate and discount, and how often the policy explores.
-        seeds: One seed for each arena.
-
-    Attributes:
-        policy: Acts by the tables.
-    """
-
-    def __init__(self, table: QTable, config: TableConfig, seeds: Sequence[int]) -> None:
-        self.table = table
-        self.config = config
-        self.policy = TableActor(table, config.epsilon, seeds)
-        self._reward = np.zeros(self.table.shape)
-
-    def update(self, batch: TensorDictBase) -> Tensor:
-        """Learn from transitions [*shape, ticks]; returns the mean squared TD error [*shape]."""
-        table, config, errors = self.table, self.config, []
-        for tick in range(batch.shape[-1]):
-            now = table.rows(batch.get("observation")[:, :, tick].numpy())
-            following = table.rows(batch.get(("next", "observation"))[:, :, tick].numpy())
-            action = table.index(batch.get("action")[:, :, tick].numpy()).ravel()
-            target = self._reward.ravel() + config.discount * table.values[following].max(-1)
-            error = target - table.values[now, action]
-            table.values[now, action] += config.learning_rate * error
-            errors.append(error**2)
-            self._reward = batch.get(("next", "reward"))[:, :, tick, 0].double().numpy() - 1
-        return torch.from_numpy(np.mean(errors, 0).reshape(table.shape))
-
-    def reset(self, newborn: Tensor) -> None:
-        """There are no newborns without evolution."""
-
-    def state_dict(self) -> Saved:
-        """The tables and the latest rewards."""
-        return {**self.table.state_dict(), "reward": self._reward}
-
-    def load_state_dict(self, state: Saved) -> None:
-        """Go on from `state`."""
-        self.table.load_state_dict(state)
-        self._reward = state["reward"]

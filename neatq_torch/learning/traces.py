@@ -8,9 +8,10 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from neatq_torch.kinds import check_fields
 from neatq_torch.learning.heads import Heads, check_heads
-from neatq_torch.learning.learner import Inheritance, Saved, check_settings, fitted, take_over
-from neatq_torch.network import PopulationNetwork
+from neatq_torch.learning.learner import Inheritance, Saved, take_over
+from neatq_torch.network import PopulationNetwork, fitted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +41,8 @@ class TraceConfig:
     inheritance: Inheritance = "darwinian"
 
     def __post_init__(self) -> None:
-        """Check every value."""
-        check_settings(self)
+        check_fields(self, learning_rate="[0, inf)", discount="[0, 1]", trace_decay="[0, 1]")
+        check_fields(self, epsilon="[0, 1]", max_hold_ticks="[1, inf]", inheritance=Inheritance)
 
 
 class TraceLearner:
@@ -166,11 +167,10 @@ class TraceLearner:
 
     def _values(self, batch: TensorDictBase, tick: int, *root: str) -> Tensor:
         """Q(s) of a tick, or with root "next" Q(s') [*shape, K]."""
-        network, observation = self.network, batch.get((*root, "observation"))[..., tick, :]
-        if network.state_size:
-            state = batch.get((*root, "network_state"))[..., tick, :]
-            return self.heads.values(network.step(observation, state)[0])
-        return self.heads.values(network(observation))
+        state = batch.get((*root, "network_state"), None)
+        state = None if state is None else state[..., tick, :]
+        observation = batch.get((*root, "observation"))[..., tick, :]
+        return self.heads.values(self.network(observation, state))
 
     def reset(self, newborn: Tensor) -> None:
         """Clear the traces of the genomes before (mask [*shape]), once newborns stand there."""
@@ -186,6 +186,5 @@ class TraceLearner:
 
     def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`."""
-        for name in ("learning_rate", "trace"):
-            own = getattr(self, name)
+        for name, own in self.state_dict().items():
             own.copy_(fitted(state[name], own))

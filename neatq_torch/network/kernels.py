@@ -180,22 +180,6 @@ def _forward_one(program: Program, rows: int, weight: Floats, batch: Batch) -> N
 
 
 @njit(error_model="numpy")
-def _read_rows(rows: Floats, batch: Floats, start: int, n: int) -> None:
-    """Copy observations [start, start + n) of `batch` [batch, k] into rows [k, n]."""
-    for k in range(len(rows)):
-        for b in range(n):
-            rows[k, b] = batch[start + b, k]
-
-
-@njit(error_model="numpy")
-def _write_rows(batch: Floats, rows: Floats, start: int, n: int) -> None:
-    """Copy rows [k, n] to observations [start, start + n) of `batch` [batch, k]."""
-    for b in range(n):
-        for k in range(len(rows)):
-            batch[start + b, k] = rows[k, b]
-
-
-@njit(error_model="numpy")
 def _add(target: Floats, source: Floats, weight: np.float32, n: int) -> None:
     """Add weight * source [n] to target [n]."""
     for b in range(n):
@@ -260,10 +244,12 @@ def _read_block(
     """Write n observations and states into values [rows, block]; hidden nodes get zero."""
     inputs, outputs = batch.observation.shape[2], batch.output.shape[2]
     first_state = inputs + 1 + outputs
-    first_hidden = first_state + program.size[network, 1]
-    _read_rows(values[:inputs], batch.observation[network], start, n)
+    states = program.size[network, 1]
+    first_hidden = first_state + states
+    values[:inputs, :n] = batch.observation[network, start : start + n].T
     values[inputs] = ONE
-    _read_rows(values[first_state:first_hidden], batch.state[network], start, n)
+    for k in range(states):
+        values[first_state + k, :n] = batch.state[network, start : start + n, k]
     values[first_hidden : first_hidden + program.size[network, 2]] = ZERO
 
 
@@ -279,16 +265,9 @@ def forward(
 ) -> None:
     """Evaluate every network on its observations.
 
-    The fields of `Batch` are arguments of their own: numba looks at a tuple for half a microsecond.
-
-    Args:
-        program: The evaluation order.
-        rows: Values of the largest network.
-        weight: [networks, columns].
-        observation: See `Batch`, like `state`, `output` and `kept`, which take the results.
-        state: [networks, batch, state].
-        output: [networks, batch, outputs].
-        kept: [networks, batch, state].
+    The largest network has `rows` values, weights are [networks, columns]. The fields of `Batch`,
+    of which `output` and `kept` take the results, are arguments of their own: numba looks at a
+    tuple for half a microsecond.
     """
     batch = Batch(observation, state, output, kept)
     networks, size, inputs = observation.shape
@@ -306,10 +285,9 @@ def forward(
             _read_block(program, network, batch, values, start, n)
             _dense_block(weight, program.live, network, values, sensors, outputs, n)
             _evaluate_block(program, weight, network, sensors * outputs, values, 0, n)
-            _write_rows(output[network], values[sensors : sensors + outputs], start, n)
-            for b in range(n):
-                for k in range(states):
-                    kept[network, start + b, k] = values[program.kept[network, k], b]
+            output[network, start : start + n] = values[sensors : sensors + outputs, :n].T
+            for k in range(states):
+                kept[network, start : start + n, k] = values[program.kept[network, k], :n]
 
 
 @njit(error_model="numpy", fastmath={"reassoc"})
@@ -319,15 +297,6 @@ def _dot(left: Floats, right: Floats, n: int) -> np.float32:
     for b in range(n):
         total += left[b] * right[b]
     return total
-
-
-@njit(error_model="numpy")
-def _is_zero(values: Floats, n: int) -> bool:
-    """Whether the first n values are all zero."""
-    other = 0
-    for b in range(n):
-        other += values[b] != ZERO
-    return other == 0
 
 
 @njit(error_model="numpy")
@@ -356,13 +325,13 @@ def _adjoint(
         link -= links
         for r in range(row, row + instruction[i, 1]):
             _derive(gradient[r, :n], values[r, :n], instruction[i, 3])
-        if links == 0 or _is_zero(gradient[row], n):
+        if links == 0 or not np.any(gradient[row, :n]):
             continue
         for k in range(link, link + links):
             change[dense + k] += _dot(values[source[k]], gradient[row], n)
             _add(gradient[source[k]], gradient[row], weight[dense + k], n)
     for o in range(outputs):
-        if _is_zero(gradient[sensors + o], n):
+        if not np.any(gradient[sensors + o, :n]):
             continue
         for c in range(o, dense, outputs):
             if live[c]:
@@ -383,14 +352,9 @@ def backward(
 ) -> None:
     """The adjoint of `forward`. Hidden nodes are evaluated again, which is cheaper than memory.
 
-    Args:
-        program: The evaluation order.
-        rows: Values of the largest network.
-        weight: [networks, columns].
-        batch: What `forward` read and wrote; `kept` is not read.
-        weight_gradient: Takes the gradient of `weight`, summed over observations; zeros so far.
-        gradient: Gradients of `output` and `kept`; if `further`, takes those of the others.
-        further: Whether the gradients of observation and state are wanted.
+    `batch` is what `forward` read and wrote; its `kept` is not read. `weight_gradient`, zeros so
+    far, takes the gradient of `weight`, summed over observations. `gradient` has those of `output`
+    and `kept` and, if `further`, takes those of observation and state.
     """
     networks, size, inputs = batch.observation.shape
     outputs, sensors = batch.output.shape[2], inputs + 1
@@ -402,16 +366,15 @@ def backward(
         for start in range(0, size, _BLOCK):
             n = min(_BLOCK, size - start)
             _read_block(program, network, batch, values, start, n)
-            _read_rows(values[sensors:first_state], batch.output[network], start, n)
+            values[sensors:first_state, :n] = batch.output[network, start : start + n].T
             _evaluate_block(program, weight, network, dense, values, first_state, n)
             slope[:, :n] = ZERO
-            _read_rows(slope[sensors:first_state], gradient.output[network], start, n)
+            slope[sensors:first_state, :n] = gradient.output[network, start : start + n].T
             for k in range(states):
                 for b in range(n):
                     slope[program.kept[network, k], b] += gradient.kept[network, start + b, k]
             _adjoint(program, network, w, change, values, slope, outputs, further, n)
             if further:
-                _write_rows(gradient.observation[network], slope[:inputs], start, n)
-                _write_rows(
-                    gradient.state[network], slope[first_state : first_state + states], start, n
-                )
+                gradient.observation[network, start : start + n] = slope[:inputs, :n].T
+                for k in range(states):
+                    gradient.state[network, start : start + n, k] = slope[first_state + k, :n]

@@ -227,7 +227,7 @@ class Plan:
 
     def write(self, slot: int, plan: GenomePlan) -> None:
         """Put a genome's plan in a slot, after making room for it where it needs more."""
-        if not self.layout.holds(plan.need):
+        if Layout.union([self.layout, plan.need]) != self.layout:
             self._make_room(Layout.union([self.layout, plan.need.with_slack()]))
         self.version += 1
         self._levels = None

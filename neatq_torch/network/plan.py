@@ -83,10 +83,6 @@ class Layout(NamedTuple):
         """Values of one network."""
         return self.first_state + self.state + self.hidden
 
-    def holds(self, other: Layout) -> bool:
-        """Whether a network that needs `other` fits."""
-        return self.union([self, other]) == self
-
     @staticmethod
     def union(layouts: Sequence[Layout]) -> Layout:
         """The smallest layout that holds all of `layouts`, which agree in inputs and outputs."""
@@ -173,15 +169,9 @@ def _compile(structure: _Structure, evaluation: Evaluation) -> GenomePlan:
     read[source[now]] = True
     links = np.bincount(target[sparse], minlength=len(kind))
     instruction = _instructions(genome, row, level, links, read)
+    hidden = int((kind == NodeKind.HIDDEN).sum())
     return GenomePlan(
-        need=Layout(
-            inputs=inputs,
-            outputs=outputs,
-            state=len(state),
-            hidden=int((kind == NodeKind.HIDDEN).sum()),
-            sparse=len(sparse),
-            instructions=len(instruction),
-        ),
+        need=Layout(inputs, outputs, len(state), hidden, len(sparse), len(instruction)),
         enabled=enabled.astype(np.int32),
         column=column,
         kept=row[state],
@@ -250,7 +240,3 @@ class Program(NamedTuple):
     source: NDArray[np.int32]
     kept: NDArray[np.int32]
     live: NDArray[np.bool_]
-
-    def of(self, networks: Sequence[int]) -> Program:
-        """A copy of the evaluation order of some networks."""
-        return Program._make(part[networks] for part in self)

@@ -38,8 +38,7 @@ class PopulationNetwork(nn.Module):
         genomes: One genome for each network, in row-major order of `shape`.
         shape: Leading dimensions of observations and outputs, such as (arenas, robots). Defaults
             to (len(genomes),).
-        evaluation: `settle` (forward links in order within one call) or `synchronous` (one
-            propagation a call, as in OpenNERO).
+        evaluation: See `Evaluation`.
 
     Attributes:
         inputs: Observations of each network, without the bias.
@@ -95,14 +94,15 @@ class PopulationNetwork(nn.Module):
         """The state of a network that has seen nothing: zeros [*shape, *batch, state_size]."""
         return self.weight.new_zeros(*self.shape, *batch, self.state_size)
 
-    def forward(self, observation: Tensor) -> Tensor:
+    def forward(self, observation: Tensor, state: Tensor | None = None) -> Tensor:
         """Outputs [*shape, *batch, outputs] for observations [*shape, *batch, inputs].
 
-        The batch of observations for each network may have any shape; all start from the initial
-        state.
+        The batch of observations for each network may have any shape; without a state, see `step`,
+        all start from the initial one.
         """
-        batch = observation.shape[len(self.shape) : -1]
-        state = self.initial_state(batch) if self.state_size else observation[..., :0]
+        if state is None:
+            batch = observation.shape[len(self.shape) : -1]
+            state = self.initial_state(batch) if self.state_size else observation[..., :0]
         return self.step(observation, state)[0]
 
     def step(self, observation: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
@@ -125,16 +125,12 @@ class PopulationNetwork(nn.Module):
         return self.plan.levels(weight.device).evaluate(weight, observation, state)
 
     def genome(self, slot: int) -> Genome:
-        """The genome in a slot (flat), with the weights that its network has now.
-
-        The weights are copied bit for bit; disabled links keep the genome's own. GenomeError if one
-        is not finite.
-        """
+        """The genome in a slot (flat), with `link_weights`; GenomeError if one is not finite."""
         row = self.weight.detach()[slot].cpu().numpy()
         return self._genomes[slot].with_weights(self._link_weights(slot, row))
 
     def genomes(self) -> list[Genome]:
-        """All genomes with the weights that their networks have now, in flat order."""
+        """All genomes with their `link_weights`, in flat order."""
         pairs = zip(self._genomes, self.link_weights(), strict=True)
         return [genome.with_weights(weights) for genome, weights in pairs]
 
@@ -175,15 +171,11 @@ class PopulationNetwork(nn.Module):
 
     @torch.no_grad()
     def load_weights(self, saved: Tensor | np.ndarray) -> None:
-        """Take over all weights from `weight` of another network of the same genomes.
+        """Take over all weights [networks, columns] of another network of the same genomes.
 
-        Args:
-            saved: [networks, columns]. The other network may have been made with more or fewer
-                spare columns, which hold zeros.
+        It may have been made with more or fewer spare columns, which hold zeros.
         """
-        rows = torch.as_tensor(saved).to(self.weight)
-        missing = self.weight.shape[1] - rows.shape[1]
-        self.weight.copy_(nn.functional.pad(rows, (0, missing)))
+        self.weight.copy_(fitted(saved, self.weight))
 
     @torch.no_grad()
     def _load_weights(self, slot: int) -> None:
@@ -216,6 +208,15 @@ class PopulationNetwork(nn.Module):
             raise ValueError(
                 f"expected weights of shape {list(expected)}, got {list(weight.shape)}"
             )
+
+
+def fitted(values: Tensor | np.ndarray, own: Tensor) -> Tensor:
+    """Values [..., old] on the device of `own` [..., columns], cut or padded to as many columns.
+
+    Columns that only one of them has belong to no link or no node, and hold zeros.
+    """
+    values = torch.as_tensor(values).to(own)
+    return nn.functional.pad(values, (0, own.shape[-1] - values.shape[-1]))
 
 
 class GenomeNetwork(PopulationNetwork):

@@ -151,8 +151,7 @@ def test_one_gradient_and_its_errors_are_those_of_the_loss(
     loss = WireFittingLoss(value, smoothing=smoothing, epsilon=epsilon, normalize_return=normalize)
     loss.make_value_estimator(gamma=0.9)
     learner = TDLearner(network, loss, TDConfig(learning_rate=9.0))  # 1 in units of Q
-    drawn = [random_transitions(rng, low) for _ in range(2)]
-    rows = cast(TensorDict, TensorDict.stack(drawn))
+    rows = cast(TensorDict, TensorDict.stack([random_transitions(rng, low) for _ in range(2)]))
     every = rows.unsqueeze(1).expand(2, 3, 20).clone()
     if network.state_size:
         none = network.initial_state((20,))
@@ -160,7 +159,7 @@ def test_one_gradient_and_its_errors_are_those_of_the_loss(
     loss(every)["loss"].backward()
     assert network.weight.grad is not None
     before = network.weight.detach().clone()
-    error = compiled_wires.learn(compiled_wires.pupils_of(learner), learner, drawn, 1, None)
+    error = compiled_wires.learn(compiled_wires.pupils_of(learner), learner, rows, 1, None)
     found, wanted = before - network.weight.detach(), network.weight.grad
     torch.testing.assert_close(found, wanted, rtol=5e-3, atol=1e-3 * float(wanted.abs().max()))
     squares = every["td_error"].squeeze(-1).square().mean(-1).flatten().detach()

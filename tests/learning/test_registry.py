@@ -122,7 +122,7 @@ def test_every_setting_changes_the_table(changes: dict[str, float]) -> None:
         batch["observation"] = torch.zeros_like(batch["observation"])
         batch["next", "observation"] = torch.zeros_like(batch["observation"])
         learner.update(batch)
-        tables.append(learner.table.values)
+        tables.append(learner.values)
     assert not np.array_equal(*tables)
 
 
@@ -130,8 +130,8 @@ def test_a_table_acts_within_the_bounds_of_the_heads_as_often_at_random_as_it_sh
     heads = CandidateHeads(2, [-2.0, 0.0], [2.0, 1.0])
     learner = made(TableConfig(epsilon=0.3), heads)
     assert isinstance(learner, TableLearner)
-    assert learner.table.low.tolist() == [-2.0, 0.0]
-    assert learner.table.high.tolist() == [2.0, 1.0]
+    assert learner.low.tolist() == [-2.0, 0.0]
+    assert learner.high.tolist() == [2.0, 1.0]
     rows = TensorDict({"observation": torch.zeros(2, 2, 2)}, (2, 2))
     drawn = torch.cat([learner.policy(rows.clone())["action"].view(4, 2) for _ in range(500)])
     at_random = (drawn[:, 1].remainder(0.5) != 0).double().mean()

@@ -8,11 +8,11 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from neatq_torch.learning.table import QTable, TableActor, TableConfig, TableLearner
+from neatq_torch.learning.table import TableConfig, TableLearner
 
 
-def table(robots: int = 1) -> QTable:
-    return QTable((1, robots), [-1.0, 0.0], [1.0, 1.0])
+def table(robots: int = 1, config: TableConfig | None = None) -> TableLearner:
+    return TableLearner((1, robots), [-1.0, 0.0], [1.0, 1.0], config or TableConfig(), [0])
 
 
 def transition(now: float, following: float, action: list[float], reward: float) -> TensorDict:
@@ -41,37 +41,35 @@ def test_actions_are_the_three_levels_of_each_dimension() -> None:
 
 
 def test_two_updates_by_hand() -> None:
-    q = table()
-    learner = TableLearner(q, TableConfig(learning_rate=0.5, discount=0.5), [0])
+    q = table(config=TableConfig(learning_rate=0.5, discount=0.5))
     # The first reward is used with the second action: 0.5 * (0 + 0.5 * 0 - 0) = 0.
-    assert learner.update(transition(0.0, 1.0, [1.0, 1.0], 0.6)).item() == 0.0
+    assert q.update(transition(0.0, 1.0, [1.0, 1.0], 0.6)).item() == 0.0
     # Then 0.6 - 1 = -0.4: Q = 0.5 * (-0.4 + 0.5 * 0 - 0) = -0.2.
-    assert learner.update(transition(1.0, 0.0, [0.0, 0.5], 0.9)).item() == pytest.approx(0.16)
+    assert q.update(transition(1.0, 0.0, [0.0, 0.5], 0.9)).item() == pytest.approx(0.16)
     row = q.rows(np.array([[[1.0, 1.0]]]))[0]
     assert q.values[row].tolist() == pytest.approx([0, 0, 0, 0, -0.2, 0, 0, 0, 0])
 
 
 def test_the_greedy_action_is_the_best_one_and_exploration_is_anywhere_in_the_bounds() -> None:
-    q = table()
+    q = table(config=TableConfig(epsilon=1.0))
     rows = TensorDict({"observation": torch.zeros(1, 1, 2)}, (1, 1))
     row = q.rows(np.zeros((1, 1, 2)))[0]
     q.values[row] = -1.0
     q.values[row, 5] = -0.5
-    policy = TableActor(q, epsilon=1.0, seeds=[0])
     with set_exploration_type(ExplorationType.DETERMINISTIC):
-        assert policy(rows)["action"].tolist() == [[[0.0, 1.0]]]
-    drawn = torch.stack([policy(rows)["action"][0, 0] for _ in range(200)])
+        assert q.policy(rows)["action"].tolist() == [[[0.0, 1.0]]]
+    drawn = torch.stack([q.policy(rows)["action"][0, 0] for _ in range(200)])
     assert drawn[:, 0].min() < -0.9 and drawn[:, 0].max() > 0.9
     assert drawn[:, 1].min() >= 0.0 and len(drawn.unique(dim=0)) == 200
 
 
 def test_tables_grow_and_come_back_from_their_state() -> None:
-    q = QTable((1, 1), [0.0], [1.0])
+    q = TableLearner((1, 1), [0.0], [1.0], TableConfig(), [0])
     grid = np.stack(np.meshgrid(*[np.linspace(0, 1, 5)] * 5), -1).reshape(-1, 1, 1, 5)
     rows = np.concatenate([q.rows(observation) for observation in grid])
     assert len(set(rows.tolist())) == 5**5 <= len(q.values)
     q.values[rows] = rows[:, None]
-    again = QTable((1, 1), [0.0], [1.0])
+    again = TableLearner((1, 1), [0.0], [1.0], TableConfig(), [0])
     again.load_state_dict(q.state_dict())
     found = np.concatenate([again.rows(observation) for observation in grid])
     assert (again.values[found, 0] == rows).all()

@@ -19,6 +19,7 @@ from neatq_envs.episodes import TEST, episode_seeds
 from neatq_envs.random_play import EnvFacts
 from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.genome import Genome, GenomeError, load_genome, save_genome
+from neatq_torch.learning import TableLearner
 from neatq_trainers.arms import ARMS, preset
 from neatq_trainers.build import build
 from neatq_trainers.config import RunConfig
@@ -133,7 +134,8 @@ def test_a_batch_is_as_many_robots(done: Done) -> None:
 def test_a_table_takes_the_best_action_of_the_first_robot(done: Done) -> None:
     folder = done("qlearning")
     run = load_run(folder)
-    table = build(run.config, run.read()["runs"][0]).learner.table  # type: ignore[attr-defined]
+    table = build(run.config, run.read()["runs"][0]).learner
+    assert isinstance(table, TableLearner)
     key = next(key for key, row in table._entries.items() if table.values[row].any())
     mine = [key for key in table._entries if key[:4] == bytes(4)]
     seen = np.stack([np.frombuffer(key[4:], np.uint8) for key in mine]).astype(np.float32) / 4

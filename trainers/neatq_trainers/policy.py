@@ -80,9 +80,7 @@ class ChampionPolicy(nn.Module):
         output, self._state = self.network.step(seen, self._state)
         if self._twice and self._previous is not None:
             self._state, self._previous = self.network.step(self._previous, self._state)[1], seen
-        candidates, values = self.heads(output)
-        best = values.argmax(-1)[..., None, None].expand(*seen.shape[:-1], 1, self.heads.actions)
-        action = self._act(candidates.gather(-2, best).squeeze(-2))
+        action = self._act(self.heads.best(output))
         if isinstance(observation, Tensor):
             return action
         return action.item() if not action.ndim else action.cpu().numpy()
@@ -121,7 +119,7 @@ class TablePolicy(nn.Module):
 
     def __init__(self, learner: TableLearner) -> None:
         super().__init__()
-        self._table = learner.table
+        self._table = learner
 
     def reset(self) -> None:
         """A table remembers nothing of an episode."""

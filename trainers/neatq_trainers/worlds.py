@@ -309,9 +309,7 @@ class GymnasiumWorld(World):
             output, state = network.step(seen, state)
             if double_activation:
                 state, previous = network.step(previous, state)[1], seen
-            candidates, values = heads(output)
-            best = values.argmax(-1)[:, None, None].expand(-1, 1, heads.actions)
-            episodes.step(candidates.gather(1, best).squeeze(1).numpy())
+            episodes.step(heads.best(output).numpy())
             episodes.go_on(episodes.terminated | episodes.truncated)
         return episodes.returns.reshape(seeds.shape)
 

@@ -194,7 +194,7 @@ def test_a_variant_of_ones_own_is_an_arm_with_other_values(
     [
         ({"learner.speed": 1}, "learner.speed: there is no such value"),
         ({"learner.kind.name": 1}, "learner.kind.name: there is no such value"),
-        ({"learner.discount": 2}, r"learner.+discount: expected within \[0, 1\]"),
+        ({"learner.discount": 2}, r"learner.+discount: expected \[0, 1\]"),
         ({"learner.kind": "guess"}, "learner: expected one of none, td, .* got 'guess'"),
         ({"learner.kind": "td", "learner.horizon": 3}, "learner.horizon: there is no such value"),
     ],
