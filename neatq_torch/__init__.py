@@ -89,17 +89,11 @@ def __dir__() -> list[str]:
     return [*globals(), *_HOME_OF]
 
 
-_FOLDERS = {
-    "neatq_envs": "envs",
-    "neatq_trainers": "trainers",
-    "neatq_experiments": "experiments",
-}
-
-
 def _refuse_mixture() -> None:
     """Raise ImportError if another package of the project comes from another copy of it."""
     ours = Path(__file__).resolve().parents[1]
-    for name, folder in _FOLDERS.items():
+    for folder in ("envs", "trainers", "experiments"):
+        name = f"neatq_{folder}"
         spec = find_spec(name)
         if spec is None or spec.origin is None:
             continue

@@ -120,11 +120,6 @@ class Kinds:
             )
         return self._kinds[own][0]
 
-    def maker(self, name: str) -> Any:
-        """What makes a kind."""
-        self.config(name)  # "module:name" imports it
-        return self._kinds[name.rpartition(":")[2]][1]
-
     def name_of(self, config: object) -> str:
         """The name of the kind that a configuration belongs to; ConfigError if there is none."""
         for name, (kind, _) in self._kinds.items():

@@ -12,30 +12,21 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from neatq_envs.checks import ScenarioError as ScenarioError
+from neatq_envs.episodes import EpisodeError as EpisodeError
+from neatq_envs.gymnasium_task import GymnasiumTask as GymnasiumTask
+from neatq_envs.gymnasium_task import TaskError as TaskError
+from neatq_envs.scenario import TASKS as TASKS
+from neatq_envs.scenario import Scenario as Scenario
+from neatq_envs.scenario import find_scenario as find_scenario
+
 if TYPE_CHECKING:
-    from neatq_envs.checks import ScenarioError as ScenarioError
-    from neatq_envs.episodes import EpisodeError as EpisodeError
-    from neatq_envs.gymnasium_task import GymnasiumTask as GymnasiumTask
-    from neatq_envs.gymnasium_task import TaskError as TaskError
     from neatq_envs.pettingzoo_env import TeamEnv as TeamEnv
-    from neatq_envs.scenario import TASKS as TASKS
-    from neatq_envs.scenario import Scenario as Scenario
-    from neatq_envs.scenario import find_scenario as find_scenario
-    from neatq_envs.scenario import load_scenario as load_scenario
     from neatq_envs.torchrl_env import ArenaEnv as ArenaEnv
     from neatq_envs.torchrl_rows import GymnasiumRows as GymnasiumRows
 
-_HOMES = {
-    "checks": "ScenarioError",
-    "episodes": "EpisodeError",
-    "gymnasium_task": "GymnasiumTask TaskError",
-    "pettingzoo_env": "TeamEnv",
-    "scenario": "TASKS Scenario find_scenario load_scenario",
-    "torchrl_env": "ArenaEnv",
-    "torchrl_rows": "GymnasiumRows",
-}
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
-__all__ = sorted(_HOME_OF)  # pyright: ignore[reportUnsupportedDunderAll]
+_LAZY = {"ArenaEnv": "torchrl_env", "GymnasiumRows": "torchrl_rows", "TeamEnv": "pettingzoo_env"}
+"""What takes seconds to import, and where it is."""
 
 # Of each id: module and name of its classes (+ "Env", + "VectorEnv"), the steps after which an
 # episode is cut off (None: it ends by itself, or the task cuts it off), arguments of the classes.
@@ -70,7 +61,6 @@ register_all()
 
 
 def __getattr__(name: str) -> Any:
-    # Looked up when asked for: torch and PettingZoo take seconds to import.
-    if name not in _HOME_OF:
+    if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)

@@ -27,7 +27,7 @@ _ROBOT_BIT, _WALL_BIT = 0b01, 0b10
 # Getting may write past the last row when a buffer is exactly full.
 _SPARE_ROWS = 2
 _FORCE = batch.BodyFields.FORCE
-_MOTION = batch.BodyFields.POSITION | batch.BodyFields.VELOCITY
+_PLACE_AND_VELOCITY = batch.BodyFields.POSITION | batch.BodyFields.VELOCITY
 _AHEAD = np.array([[1.0, 0.0]])
 
 
@@ -75,7 +75,7 @@ class Room:
         batch.set_space_bodies(self.space, _FORCE, self._force)
         self.space.step(1.0)
         self._motion.clear()
-        batch.get_space_bodies(self.space, _MOTION, self._motion)
+        batch.get_space_bodies(self.space, _PLACE_AND_VELOCITY, self._motion)
 
 
 class Physics:

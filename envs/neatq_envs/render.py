@@ -17,7 +17,7 @@ from neatq_envs.physics import border_walls
 from neatq_envs.scenario import Scenario
 
 GROUND, WALL, SPAWN, TICK = "#f8f7f2", "#464a52", "#e2e8f0", "#141e32"
-ROBOT, CHAMPION, FLAG = "#5685be", "#f08c00", "#cd2626"
+ROBOT, HIGHLIGHT, FLAG = "#5685be", "#f08c00", "#cd2626"
 Pixel = tuple[int, int]  # column, row
 Pen = ImageDraw.ImageDraw
 
@@ -66,7 +66,7 @@ def frame(
     _draw_flag(pen, pixel(flag), size)
     if highlight is not None:
         heading = float(heading_rad[highlight])
-        _draw_robot(pen, middles[highlight], heading, radius + 2, CHAMPION)
+        _draw_robot(pen, middles[highlight], heading, radius + 2, HIGHLIGHT)
     return np.array(image)
 
 
@@ -112,8 +112,8 @@ def draw_paths(
     axes.plot(*poses[-1, :, :2].T, ".", color=TICK, ms=4, zorder=4, label="robot at the end")
     if highlight is not None:
         way = ways[highlight]
-        axes.plot(way[:, 0], way[:, 1], color=CHAMPION, lw=2.5, zorder=5, label=highlight_label)
-        axes.plot(*way[-1], "o", color=CHAMPION, mec="black", ms=7, zorder=6)
+        axes.plot(way[:, 0], way[:, 1], color=HIGHLIGHT, lw=2.5, zorder=5, label=highlight_label)
+        axes.plot(*way[-1], "o", color=HIGHLIGHT, mec="black", ms=7, zorder=6)
     star = {"marker": "*", "ls": "", "ms": 16, "zorder": 7}
     axes.plot(*flag, color=FLAG, mec="black", label="flag", **star)
     for place in _idle_flags(scenario, flag):

@@ -258,11 +258,6 @@ def find_scenario(
         raise ScenarioError(f"{source}: {error}") from error
 
 
-def load_scenario(path: Path | str) -> Scenario:
-    """The scenario of a JSON file, or a `ScenarioError` that names the file and what is wrong."""
-    return find_scenario(Path(path))
-
-
 def _read_scenario(values: Any) -> dict[str, Any]:
     """Values of `Scenario` from JSON values; errors name the key."""
     require_fields(Scenario, values)
@@ -277,9 +272,9 @@ def _read_scenario(values: Any) -> dict[str, Any]:
 
 # The places of the published moving-flag run, recovered from its figure: they were drawn in a
 # ring of 100 to 250 units round the spawn. A fixed list is the same for every algorithm.
-_X = 251.9, 253.5, 537.0, 414.1, 324.6, 299.6, 458.2, 611.1, 392.5, 344.7, 235.1, 432.2, 353.9
-_Y = 195.4, 310.2, 170.7, 396.3, 127.8, 388.9, 181.3, 184.5, 393.5, 164.9, 424.9, 141.2, 26.8
-_MOVING = FlagSchedule(positions=tuple(zip(_X, _Y, strict=True)), interval_ticks=5000)
+_FLAG_X = 251.9, 253.5, 537.0, 414.1, 324.6, 299.6, 458.2, 611.1, 392.5, 344.7, 235.1, 432.2, 353.9
+_FLAG_Y = 195.4, 310.2, 170.7, 396.3, 127.8, 388.9, 181.3, 184.5, 393.5, 164.9, 424.9, 141.2, 26.8
+_MOVING = FlagSchedule(positions=tuple(zip(_FLAG_X, _FLAG_Y, strict=True)), interval_ticks=5000)
 _MAZE = (3.0, 2.0)  # the map's origin, for a field that just holds its outer walls
 TASKS: dict[str, Scenario] = {
     "flag": Scenario(name="flag"),

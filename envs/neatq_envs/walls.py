@@ -21,8 +21,8 @@ from neatq_envs.checks import require, require_fields
 
 MAZE_START, MAZE_GOAL = (31.0, 20.0), (36.0, 184.0)
 # Both ends of each wall; the first seven are the outer walls.
-_X = 41, 3, 4, 4, 7, 195, 186, 56, 57, 77, 6, 192, 56
-_Y = 5, 8, 49, 49, 202, 198, 8, 54, 106, 201, 80, 146, 55
+_FROM_X = 41, 3, 4, 4, 7, 195, 186, 56, 57, 77, 6, 192, 56
+_FROM_Y = 5, 8, 49, 49, 202, 198, 8, 54, 106, 201, 80, 146, 55
 _TO_X = 3, 4, 57, 7, 195, 186, 39, 56, 158, 108, 33, 87, 133
 _TO_Y = 8, 49, 53, 202, 198, 8, 5, 157, 162, 164, 121, 91, 30
 
@@ -70,5 +70,5 @@ def hard_maze(x: float, y: float) -> tuple[Wall, ...]:
     """The walls of the map, its origin at (x, y) in units."""
     return tuple(
         Wall.between((x + a, y + b), (x + c, y + d), thickness=4.0)
-        for a, b, c, d in zip(_X, _Y, _TO_X, _TO_Y, strict=True)
+        for a, b, c, d in zip(_FROM_X, _FROM_Y, _TO_X, _TO_Y, strict=True)
     )

@@ -18,7 +18,7 @@ from neatq_experiments.experiment import Experiment
 from neatq_experiments.published import PAPER_NAMES, published_curves
 from neatq_experiments.seeds import Result, Results, SeedTask, run_seeds
 from neatq_trainers.arms import TASK_TICKS, preset
-from neatq_trainers.folder import read_metrics
+from neatq_trainers.folder import load_run
 from neatq_trainers.metrics import ROW_TICKS
 
 
@@ -71,7 +71,7 @@ def curves_of(results: Results) -> dict[tuple[str, str], np.ndarray]:
 
 def mean_distances(folder: Path) -> np.ndarray:
     """The mean distance of each team at each row [seeds, rows]."""
-    metrics = read_metrics(folder)
+    metrics = load_run(folder).metrics()
     seeds = len(np.unique(metrics["arena"]))
     return metrics["mean_distance"].reshape(-1, seeds).T
 

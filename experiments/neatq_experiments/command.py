@@ -10,15 +10,7 @@ from pathlib import Path
 import tyro
 
 from neatq_envs.processes import usable_cores
-from neatq_experiments import (
-    arena,
-    double_pole,
-    gymnasium_tasks,
-    neat_q,
-    published,
-    variants,
-    xor,
-)
+from neatq_experiments import arena, double_pole, gymnasium_tasks, neat_q, published, variants, xor
 from neatq_experiments.compare.command import CompareCommand, run_comparison
 from neatq_experiments.experiment import Experiment, run_again
 from neatq_torch.kinds import ConfigError

@@ -1,18 +1,8 @@
 """What a genome is and how it varies; numpy only."""
 
-from neatq_torch.genome.crossover import (
-    CrossoverConfig,
-    first_is_fitter,
-    multipoint,
-)
+from neatq_torch.genome.crossover import CrossoverConfig, first_is_fitter, multipoint
 from neatq_torch.genome.distance import DistanceConfig, LinkTable, compatibility, first_compatible
-from neatq_torch.genome.genome import (
-    Genome,
-    load_genome,
-    pack_genomes,
-    save_genome,
-    unpack_genomes,
-)
+from neatq_torch.genome.genome import Genome, load_genome, pack_genomes, save_genome, unpack_genomes
 from neatq_torch.genome.graph import node_levels
 from neatq_torch.genome.initial import initial_genome, layered_genome, random_genome
 from neatq_torch.genome.innovation import InnovationLedger

@@ -124,7 +124,7 @@ class CandidatePolicy(TensorDictModuleBase):
         tensordict.set("candidate_index", index)
         tensordict.set("action", action)
         tensordict.set("chosen_action_value", values.gather(-1, taken))
-        own = owner if living is None else owner.masked_fill(~living, NOBODY)
+        own = owner.clone() if living is None else owner.masked_fill(~living, NOBODY)
         tensordict.set("genome_id", own)
         if self.network.state_size:
             if self.double_activation:

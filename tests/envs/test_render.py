@@ -9,16 +9,7 @@ import pytest
 from matplotlib.collections import LineCollection
 from PIL import Image, ImageColor
 
-from neatq_envs.render import (
-    CHAMPION,
-    FLAG,
-    GROUND,
-    ROBOT,
-    WALL,
-    animation,
-    draw_paths,
-    frame,
-)
+from neatq_envs.render import FLAG, GROUND, HIGHLIGHT, ROBOT, WALL, animation, draw_paths, frame
 from neatq_envs.scenario import TASKS
 
 TASK = TASKS["wall"]
@@ -39,7 +30,7 @@ def test_the_world_is_drawn_with_y_upwards() -> None:
     image = picture(highlight=1)
     assert image.shape == (400, 400, 3) and image.dtype == np.uint8
     assert centre(image, ROBOT) == pytest.approx((100, 100), abs=2)
-    assert centre(image, CHAMPION) == pytest.approx((300, 300), abs=2)
+    assert centre(image, HIGHLIGHT) == pytest.approx((300, 300), abs=2)
     row, column = centre(image, FLAG)
     assert 130 < row < 150 and 400 / 2 < column < 212  # the cloth is at the top of the pole
     wall, ground = ImageColor.getrgb(WALL), ImageColor.getrgb(GROUND)

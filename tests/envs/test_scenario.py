@@ -15,14 +15,7 @@ import pytest
 
 from neatq_envs.checks import ScenarioError
 from neatq_envs.gymnasium_task import assignments
-from neatq_envs.scenario import (
-    TASKS,
-    FlagSchedule,
-    Scenario,
-    Spawn,
-    find_scenario,
-    load_scenario,
-)
+from neatq_envs.scenario import TASKS, FlagSchedule, Scenario, Spawn, find_scenario
 from neatq_envs.walls import Wall, box_distance
 
 
@@ -155,16 +148,16 @@ def test_errors_name_the_key_and_what_came(values: dict[str, Any], words: list[s
 def test_file_errors_name_the_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.json"
     with pytest.raises(ScenarioError, match=r"mine\.json.*cannot be read"):
-        load_scenario(path)
+        find_scenario(path)
     for text, words in (('{"robots": ', "is not JSON"), ("[1]", "expected an object")):
         path.write_text(text)
         with pytest.raises(ScenarioError, match=rf"mine\.json.*{words}"):
-            load_scenario(path)
+            find_scenario(path)
     path.write_text('{"robotz": 4}')
     with pytest.raises(ScenarioError, match=r'mine\.json.*did you mean "robots"'):
-        load_scenario(path)
+        find_scenario(path)
     path.write_text('{"robots": 4}')
-    assert load_scenario(path).robots == 4
+    assert find_scenario(path).robots == 4
 
 
 def test_defaults_fill_what_a_file_leaves_out_and_changes_come_last(tmp_path: Path) -> None:

@@ -10,21 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from neatq_torch.checkpoint import load_checkpoint, save_checkpoint
-from neatq_torch.evolution import (
-    NEAT,
-    NEAT_2002,
-    NEATConfig,
-    Species,
-    SpeciesConfig,
-)
+from neatq_torch.evolution import NEAT, NEAT_2002, NEATConfig, Species, SpeciesConfig
 from neatq_torch.evolution.neat import breeders, offspring_counts, shared_fitness
 from neatq_torch.evolution.species import Speciation
-from neatq_torch.genome import (
-    Genome,
-    InnovationLedger,
-    NodeKind,
-    initial_genome,
-)
+from neatq_torch.genome import Genome, InnovationLedger, NodeKind, initial_genome
 
 MUTATION = NEAT_2002.mutation
 ONE = initial_genome(2, 1, rng=np.random.default_rng(0))

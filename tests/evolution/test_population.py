@@ -37,7 +37,8 @@ KINDS: dict[str, dict[str, Any]] = {
 
 
 def start(kind: str, slots: int = 6, seed: Any = 0, **given: Any) -> Population:
-    config_class, population_class = population_kinds.config(kind), population_kinds.maker(kind)
+    config_class = population_kinds.config(kind)
+    population_class = population_kinds.maker_of(config_class())
     weights = given.pop("reward_weights", (1.0,))
     config = config_class(**(KINDS[kind] | given))
     return population_class.start(
@@ -107,7 +108,8 @@ def test_a_seed_stands_for_its_generator(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_founders_are_drawn_one_after_the_other(kind: str) -> None:
-    config_class, population_class = population_kinds.config(kind), population_kinds.maker(kind)
+    config_class = population_kinds.config(kind)
+    population_class = population_kinds.maker_of(config_class())
     rng = np.random.default_rng(7)
     made: dict[str, Any] = {"bias": False, "activation": "tanh", "observation_schema": "what"}
     make, look = initial_genome, {}
@@ -163,11 +165,12 @@ def test_a_kind_needs_a_name_and_a_configuration_of_its_own() -> None:
 
     kinds = Kinds("population")
     for name in population_kinds:
-        kinds.register(name, population_kinds.config(name), population_kinds.maker(name))
+        config_class = population_kinds.config(name)
+        kinds.register(name, config_class, population_kinds.maker_of(config_class()))
     kinds.register("own", OwnConfig, Own)
     kinds.register("own", OwnConfig, Own)
-    assert (kinds.config("own"), kinds.maker("own")) == (OwnConfig, Own)
-    assert kinds.name_of(OwnConfig()) == "own" and kinds.maker_of(OwnConfig()) is Own
+    assert kinds.config("own") is OwnConfig and kinds.name_of(OwnConfig()) == "own"
+    assert kinds.maker_of(OwnConfig()) is Own
     assert list(kinds) == ["rtneat", "neat", "fixed", "own"]
     assert list(population_kinds) == ["rtneat", "neat", "fixed"]
     for name, config, taken in (

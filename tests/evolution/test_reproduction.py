@@ -6,11 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neatq_torch.evolution import (
-    NEAT_2002,
-    OPENNERO,
-    ReproductionConfig,
-)
+from neatq_torch.evolution import NEAT_2002, OPENNERO, ReproductionConfig
 from neatq_torch.evolution.reproduction import Parent, choose_parents, offspring, roulette
 from neatq_torch.evolution.species import Species
 from neatq_torch.genome import (

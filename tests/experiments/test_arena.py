@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 
 from neatq_experiments import arena
-from neatq_experiments.arena import (
-    ARENA,
-    arena_table,
-    draw_arms,
-    quarter_means,
-    run_arm,
-)
+from neatq_experiments.arena import ARENA, arena_table, draw_arms, quarter_means, run_arm
 from neatq_experiments.published import published_curves
 from neatq_experiments.seeds import Result, SeedTask
 

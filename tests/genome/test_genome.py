@@ -9,13 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from neatq_torch.genome import (
-    Genome,
-    GenomeError,
-    initial_genome,
-    load_genome,
-    save_genome,
-)
+from neatq_torch.genome import Genome, GenomeError, initial_genome, load_genome, save_genome
 from neatq_torch.genome.genome import COLUMNS
 
 FLOAT32 = st.floats(width=32, allow_nan=False, allow_infinity=False)

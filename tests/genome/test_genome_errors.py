@@ -9,13 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from neatq_torch.genome import (
-    Genome,
-    GenomeError,
-    initial_genome,
-    load_genome,
-    save_genome,
-)
+from neatq_torch.genome import Genome, GenomeError, initial_genome, load_genome, save_genome
 
 Edit = Callable[[dict[str, Any]], object]
 

@@ -18,12 +18,7 @@ from neatq_torch.genome import (
     initial_genome,
     mutate,
 )
-from neatq_torch.genome.mutation import (
-    mutate_weights,
-    mutated_weights,
-    reenable,
-    toggle_enable,
-)
+from neatq_torch.genome.mutation import mutate_weights, mutated_weights, reenable, toggle_enable
 
 PLAIN = MutationConfig()
 START = 10.0  # far from U(-0.5, 0.5), so that new weights and moved ones cannot be confused

@@ -274,3 +274,13 @@ def test_seeds_for_other_slots_are_refused(seeds: list[int] | list[list[int]]) -
     explore = EpsilonGreedy((2, 3), seeds=[0, 1])
     with pytest.raises(ValueError, match="expected one seed for each arena of"):
         explore.begin(seeds)
+
+
+def test_what_was_done_keeps_the_name_of_who_did_it_after_a_replacement() -> None:
+    rng = np.random.default_rng(0)
+    old, new = (initial_genome(2, 6, rng=rng, genome_id=number) for number in (1, 2))
+    network = PopulationNetwork([old], shape=(1, 1))
+    policy = CandidatePolicy(network, CandidateHeads(2, [0.0] * 2, [1.0] * 2), greedy((1, 1)))
+    done = policy(TensorDict({"observation": torch.zeros(1, 1, 2)}, [1, 1]))
+    network.replace(0, new)
+    assert done["genome_id"].item() == 1

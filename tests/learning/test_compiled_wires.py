@@ -58,7 +58,7 @@ def evolved_learner(config: ReplayConfig, discount: torch.Tensor | None = None) 
     heads = CandidateHeads(3, [0.0, -2.0, 1.0], [1.0, 2.0, 1.0], value_range=(-1.0, 2.0))
     network = evolved_network(heads)
     assert network.state_size
-    learner = learner_kinds.maker("replay")(config, LearnerParts(network, heads, (2, 3), range(2)))
+    learner = learner_kinds.maker_of(config)(config, LearnerParts(network, heads, (2, 3), range(2)))
     assert isinstance(learner, ReplayLearner)
     learner.learner.loss.discount = discount
     return learner

@@ -143,7 +143,7 @@ def test_arenas_draw_from_their_own_seeds_whatever_stands_beside() -> None:
     assert isinstance(both, ReplayLearner)
     network = both.learner.network
     alone = PopulationNetwork(network.genomes()[2:], shape=(1, 2))
-    one = learner_kinds.maker("replay")(REPLAY, LearnerParts(alone, HEADS, (1, 2), [4]))
+    one = learner_kinds.maker_of(REPLAY)(REPLAY, LearnerParts(alone, HEADS, (1, 2), [4]))
     both.update(batch_of(0))
     one.update(batch_of(0)[1:])
     assert torch.equal(network.weight[2:], alone.weight)
@@ -188,7 +188,7 @@ def test_replay_finds_the_way_along_a_chain_by_discrete_actions() -> None:
         for i in range(2)
     ]
     heads, network = DiscreteHeads(2), PopulationNetwork(genomes, shape=(1, 2))
-    learner = learner_kinds.maker("replay")(config, LearnerParts(network, heads, (1, 2), [0]))
+    learner = learner_kinds.maker_of(config)(config, LearnerParts(network, heads, (1, 2), [0]))
     policy = CandidatePolicy(network, heads, EpsilonGreedy((1, 2), seeds=[0], epsilon=0.5))
     at, seen = torch.zeros(1, 2, dtype=torch.long), torch.eye(states)
     for _ in range(60):
@@ -243,9 +243,9 @@ def test_what_cannot_be_made_says_why() -> None:
     with pytest.raises(ValueError, match=r"one of none, td, replay, traces, table, .* got 'x"):
         learner_kinds.config("xcs")
     with pytest.raises(ValueError, match="expected networks to learn with, got none"):
-        learner_kinds.maker("td")(TDConfig(), LearnerParts(None, HEADS, (1, 1), [0]))
+        learner_kinds.maker_of(TDConfig())(TDConfig(), LearnerParts(None, HEADS, (1, 1), [0]))
     with pytest.raises(ValueError, match="expected CandidateHeads, got DiscreteHeads"):
-        learner_kinds.maker("table")(
+        learner_kinds.maker_of(TableConfig())(
             TableConfig(), LearnerParts(None, DiscreteHeads(2), (1, 1), [0])
         )
 
@@ -283,7 +283,7 @@ def test_bad_settings_are_named(kind: type, settings: dict[str, Any]) -> None:
 def test_a_rate_falls_over_the_episodes_of_a_life_or_not_at_all() -> None:
     network = PopulationNetwork([initial_genome(2, 6, rng=np.random.default_rng(0))], shape=(1, 1))
     with pytest.raises(ValueError, match="anneal: expected lives of a number of episodes"):
-        learner_kinds.maker("traces")(
+        learner_kinds.maker_of(TraceConfig())(
             TraceConfig(anneal=True), LearnerParts(network, HEADS, (1, 1), [0])
         )
 

@@ -7,13 +7,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from neatq_torch.genome import (
-    Genome,
-    InnovationLedger,
-    MutationConfig,
-    initial_genome,
-    mutate,
-)
+from neatq_torch.genome import Genome, InnovationLedger, MutationConfig, initial_genome, mutate
 from neatq_torch.learning import (
     CandidateHeads,
     CandidateTDLoss,

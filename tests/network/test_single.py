@@ -9,13 +9,7 @@ import pytest
 import torch
 from torch import nn
 
-from neatq_torch.genome import (
-    Genome,
-    InnovationLedger,
-    MutationConfig,
-    initial_genome,
-    mutate,
-)
+from neatq_torch.genome import Genome, InnovationLedger, MutationConfig, initial_genome, mutate
 from neatq_torch.network import Evaluation, GenomeNetwork, PopulationNetwork
 
 EVALUATIONS: tuple[Evaluation, Evaluation] = ("settle", "synchronous")

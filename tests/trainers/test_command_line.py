@@ -111,7 +111,10 @@ CART_POLE = ["--task", "gym:CartPole-v1"]
             "network.candidates: expected at least 2, got 1",
         ),
         (["train", "--network.value-range", "3", "1"], "network.value_range: .* smaller first"),
-        (["train", "--network.activation", "cubic"], "network.activation: expected one of ident"),
+        (
+            ["train", "--network.activation", "cubic"],
+            "network.activation: expected one of ident",
+        ),
         (["train", "--learner.epsilon", "2"], r"learner.epsilon: expected \[0, 1\], got 2"),
         (
             ["train", "--learner.learning-rate", "nan"],
@@ -427,7 +430,7 @@ class SlowConfig(TDConfig):
 
     slowness: float = 2.0
 
-register_learner("slow", SlowConfig, learner_kinds.maker("td"))
+register_learner("slow", SlowConfig, learner_kinds.maker_of(TDConfig()))
 """
 
 

@@ -34,7 +34,6 @@ from neatq_trainers.folder import (
     RunFolder,
     RunFolderError,
     load_run,
-    read_metrics,
 )
 from neatq_trainers.metrics import DistanceRow, Row
 from neatq_trainers.report import write_report
@@ -85,7 +84,7 @@ def test_the_metrics_have_a_row_for_each_arena_and_100_ticks(done: Path) -> None
     assert tuple(header) == DistanceRow._fields
     wanted = [(arena, tick) for tick in (100, 200, 300) for arena in (0, 1)]
     assert [(int(row[0]), int(row[1])) for row in rows] == wanted
-    columns = read_metrics(done)
+    columns = load_run(done).metrics()
     assert (columns["min_distance"] <= columns["mean_distance"]).all()
     assert (columns["mean_distance"] <= columns["max_distance"]).all()
     # Nobody is eligible before the end of the first life.
@@ -116,7 +115,7 @@ def test_the_champion_is_the_fittest_robot_with_the_weights_it_learnt(done: Path
 def test_the_csv_logger_writes_the_means_over_arenas(done: Path) -> None:
     (path,) = (done / "logs").rglob("mean_distance.csv")
     logged = [line.split(",") for line in path.read_text().splitlines()]
-    columns = read_metrics(done)
+    columns = load_run(done).metrics()
     means = columns["mean_distance"].reshape(3, 2).mean(1)
     assert [int(float(tick)) for tick, _ in logged] == [100, 200, 300]
     assert np.allclose([float(value) for _, value in logged], means, rtol=1e-4)
@@ -353,5 +352,5 @@ def test_a_champion_is_remembered_between_generations_in_the_arena(
     assert remembered.generation == 1
     assert folder.champion().to_json() == remembered.genome.to_json()
     assert remembered.genome.genome_id <= 9, "one of the founders"
-    (_, cell) = read_metrics(folder.path)["champion_distance"]
+    (_, cell) = folder.metrics()["champion_distance"]
     assert not np.isnan(cell), "the row of tick 200 is made before the next generation"

@@ -23,9 +23,9 @@ from neatq_torch.learning import (
 )
 from neatq_torch.network import PopulationNetwork
 from neatq_trainers.config import RunConfig, named
-from neatq_trainers.metrics import make_metrics
+from neatq_trainers.metrics import DistanceMetrics, ReturnMetrics
 from neatq_trainers.run import Run, State
-from neatq_trainers.worlds import GymnasiumConfig, World, make_world
+from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig, World, make_world
 
 GENES_STREAM = 3
 """Of the random numbers of learning genes: [seed, stream]."""
@@ -68,6 +68,7 @@ def _in_world(config: RunConfig, world: World, state: State | None, episodes: in
         learner = learner_kinds.maker_of(config.learner)(config.learner, parts)
     except ValueError as error:
         raise ConfigError(named("learner", error)) from error
+    arena = isinstance(config.world, ArenaConfig)
     policy = getattr(learner, "policy", None) or _policy(config, network, heads)
     run = Run(
         config=config,
@@ -78,7 +79,7 @@ def _in_world(config: RunConfig, world: World, state: State | None, episodes: in
         network=network,
         populations=populations,
         genes=_genes(config, learner, policy, populations),
-        metrics=make_metrics(config, populations, shape),
+        metrics=DistanceMetrics(shape[0]) if arena else ReturnMetrics(populations, shape),
     )
     run.begin_generation()
     if state is not None:

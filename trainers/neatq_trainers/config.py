@@ -58,20 +58,17 @@ class NetworkConfig:
     value_range: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        if self.candidates < 1:
-            raise ConfigError(f"network.candidates: expected at least 1, got {self.candidates}")
+        check_fields(self, candidates="[1, inf]")
         if self.value_range is not None:
             low, high = self.value_range
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
                 raise ConfigError(
-                    "network.value_range: expected two finite numbers, the smaller first, got "
+                    "value_range: expected two finite numbers, the smaller first, got "
                     f"{low} and {high}"
                 )
-        if self.activation is not None and self.activation not in ACTIVATIONS:
-            raise ConfigError(
-                f"network.activation: expected one of {', '.join(ACTIVATIONS)}; got "
-                f"{self.activation!r}"
-            )
+        if self.activation not in (None, *ACTIVATIONS):
+            expected = f"one of {', '.join(ACTIVATIONS)} or None"
+            raise ConfigError(f"activation: expected {expected}; got {self.activation!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,11 +110,9 @@ class RunConfig:
     learner: Any
 
     def __post_init__(self) -> None:
-        for name in (*LENGTHS, "batch_ticks"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ConfigError(f"{name}: expected at least 1, got {value}")
-        check_fields(self, arenas="[1, inf]", seed="[0, inf]", checkpoint_seconds="[0, inf]")
+        positive = (*LENGTHS, "batch_ticks", "arenas")
+        check_fields(self, **dict.fromkeys(positive, "[1, inf]"), seed="[0, inf]")
+        check_fields(self, checkpoint_seconds="[0, inf]")
         self._check_length()
         self._check_parts()
 

@@ -219,7 +219,11 @@ class RunFolder:
 
     def metrics(self) -> Columns:
         """The columns of `metrics.csv`, float64 [rows] each; empty cells are NaN."""
-        return read_metrics(self.path)
+        with (self.path / METRICS).open(newline="") as file:
+            reader = csv.DictReader(file)
+            rows = list(reader)
+            names = reader.fieldnames or []
+        return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
 
     def champion(self) -> Genome:
         """The fittest genome.
@@ -293,12 +297,3 @@ def load_run(path: Path | str) -> RunFolder:
         raise CheckpointError(f"{file}: there is no such file") from error
     except ValueError as error:
         raise CheckpointError(f"{file}: altered or damaged: {error}") from error
-
-
-def read_metrics(path: Path) -> Columns:
-    """See `RunFolder.metrics`; of the run in a folder."""
-    with (path / METRICS).open(newline="") as file:
-        reader = csv.DictReader(file)
-        rows = list(reader)
-        names = reader.fieldnames or []
-    return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}

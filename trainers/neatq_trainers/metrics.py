@@ -13,7 +13,7 @@ from neatq_envs.episodes import EVALUATION, episode_seeds
 from neatq_torch.evolution import Population
 from neatq_torch.genome import Genome
 from neatq_trainers.config import RunConfig
-from neatq_trainers.run import Champion, Metrics, Run, State
+from neatq_trainers.run import Champion, Run, State
 from neatq_trainers.worlds import ArenaConfig, GymnasiumWorld
 
 ROW_TICKS = 100
@@ -97,15 +97,6 @@ def _cell(value: float | None) -> str:
     if value is None:
         return ""
     return str(value) if isinstance(value, int) else f"{value:.6g}"
-
-
-def make_metrics(
-    config: RunConfig, populations: Sequence[Population], shape: tuple[int, int]
-) -> Metrics:
-    """What watches a run of shape (arenas, slots) in its world."""
-    if row_kind(config) is DistanceRow:
-        return DistanceMetrics(shape[0])
-    return ReturnMetrics(populations, shape)
 
 
 class DistanceMetrics:

@@ -26,7 +26,7 @@ from neatq_envs.sensors import schema_of
 from neatq_envs.torchrl_env import ArenaEnv
 from neatq_envs.torchrl_rows import GymnasiumRows
 from neatq_torch.genome import Genome
-from neatq_torch.kinds import ConfigError, Kinds, import_own
+from neatq_torch.kinds import ConfigError, Kinds, check_fields, import_own
 from neatq_torch.learning import CandidateHeads, DiscreteHeads, Heads
 from neatq_torch.network import Evaluation, PopulationNetwork
 
@@ -124,9 +124,8 @@ class GymnasiumConfig:
     test_episodes: int = 100
 
     def __post_init__(self) -> None:
-        for name in ("slots", "every", "evaluated", "episodes", "test_episodes"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"world.{name}: expected at least 1, got {getattr(self, name)}")
+        positive = ("slots", "every", "evaluated", "episodes", "test_episodes")
+        check_fields(self, **dict.fromkeys(positive, "[1, inf]"))
         if not self.id:
             raise ConfigError("task: expected gym: and an id, such as gym:CartPole-v1")
 

@@ -18,12 +18,7 @@ from numpy.typing import NDArray
 from neatq_experiments.compare import statistics
 from neatq_experiments.compare.cells import Cell, digest, file_name
 from neatq_experiments.compare.figures import colours_of, legend_beside
-from neatq_experiments.compare.report import (
-    NO_VALUE,
-    estimate_text,
-    markdown_table,
-    reference_of,
-)
+from neatq_experiments.compare.report import NO_VALUE, estimate_text, markdown_table, reference_of
 from neatq_experiments.compare.tables import Tables, read_pair, write_table
 from neatq_experiments.compare.variants import summary_of
 from neatq_experiments.seeds import Result, Results

@@ -29,7 +29,7 @@ from neatq_experiments.compare.variants import Variant, config_of, register_vari
 from neatq_experiments.seeds import Result, Results, SeedTask, tasks
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.callbacks import ProgressBar
-from neatq_trainers.folder import read_metrics
+from neatq_trainers.folder import load_run
 from neatq_trainers.metrics import Row
 from neatq_trainers.train import Session
 from neatq_trainers.worlds import ArenaConfig
@@ -148,7 +148,7 @@ def test_cpu_seconds_are_those_of_a_thousand_ticks_of_one_arena(
 def test_rows_are_means_of_five_looks(tiny_cells: int, tmp_path: Path) -> None:
     cells = grid(["flag"], ["rtneat"], quick=True)
     (results,) = perform(cells, (0,), tmp_path).values()
-    metrics = read_metrics(tmp_path / cells[0].name / "seeds-0-0")
+    metrics = load_run(tmp_path / cells[0].name / "seeds-0-0").metrics()
     assert metrics["tick"][:5].tolist() == [100, 200, 300, 400, 500]
     assert results[0]["tick"] == [500]
     assert results[0]["team"] == pytest.approx([metrics["mean_distance"][:5].mean()], abs=1e-4)

@@ -5,12 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from neatq_experiments.compare.cells import (
-    CONTACT,
-    champion_reaches,
-    first_contact,
-    stable_contact,
-)
+from neatq_experiments.compare.cells import CONTACT, champion_reaches, first_contact, stable_contact
 
 
 def rows(near: str) -> tuple[np.ndarray, np.ndarray]:
