@@ -12,19 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from neatq_envs.checks import ScenarioError as ScenarioError
-from neatq_envs.episodes import EpisodeError as EpisodeError
-from neatq_envs.gymnasium_task import GymnasiumTask as GymnasiumTask
-from neatq_envs.gymnasium_task import TaskError as TaskError
-from neatq_envs.scenario import TASKS as TASKS
-from neatq_envs.scenario import Scenario as Scenario
-from neatq_envs.scenario import find_scenario as find_scenario
+from neatq_envs.checks import ScenarioError
+from neatq_envs.episodes import EpisodeError
+from neatq_envs.gymnasium_task import GymnasiumTask, TaskError
+from neatq_envs.scenario import TASKS, Scenario, find_scenario
 
 if TYPE_CHECKING:
-    from neatq_envs.pettingzoo_env import TeamEnv as TeamEnv
-    from neatq_envs.torchrl_env import ArenaEnv as ArenaEnv
-    from neatq_envs.torchrl_rows import GymnasiumRows as GymnasiumRows
+    from neatq_envs.pettingzoo_env import TeamEnv
+    from neatq_envs.torchrl_env import ArenaEnv
+    from neatq_envs.torchrl_rows import GymnasiumRows
 
+__all__ = ["TASKS", "EpisodeError", "GymnasiumTask", "Scenario", "ScenarioError", "TaskError"]
+__all__ += ["ArenaEnv", "GymnasiumRows", "TeamEnv", "find_scenario"]
 _LAZY = {"ArenaEnv": "torchrl_env", "GymnasiumRows": "torchrl_rows", "TeamEnv": "pettingzoo_env"}
 """What takes seconds to import, and where it is."""
 

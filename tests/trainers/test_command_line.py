@@ -78,8 +78,8 @@ CART_POLE = ["--task", "gym:CartPole-v1"]
         (["train", "--learner", "no_such:one"], "learner: no_such:one: No module .*PYTHONPATH"),
         (["train", "--task"], "--task: expected one argument"),
         (["train", "--task", "none.json"], "none.json: cannot be read: No such file"),
-        (["train", "--ticks", "-5"], "ticks: expected at least 1, got -5"),
-        (["train", "--ticks", "0"], "ticks: expected at least 1, got 0"),
+        (["train", "--ticks", "-5"], "ticks: expected at least 1 or None, got -5"),
+        (["train", "--ticks", "0"], "ticks: expected at least 1 or None, got 0"),
         (["train", "--steps", "5"], "steps: the length of a run on wall is given in ticks"),
         (
             ["train", *CART_POLE, "--ticks", "5"],
@@ -92,7 +92,7 @@ CART_POLE = ["--task", "gym:CartPole-v1"]
         (["train", "--seed", "-1"], "seed: expected at least 0, got -1"),
         (["train", "--arenas", "0"], "arenas: expected at least 1, got 0"),
         (["train", "--workers", "0"], "workers: expected at least 1, got 0"),
-        (["train", "--batch-ticks", "0"], "batch_ticks: expected at least 1, got 0"),
+        (["train", "--batch-ticks", "0"], "batch_ticks: expected at least 1 or None, got 0"),
         (["train", "--env-kwargs", "robots"], "env_kwargs: expected name=value.* got 'robots'"),
         (["train", "--env-kwargs", "robots=1"], "robots: expected at least 2, got 1"),
         (["train", "--env-kwargs", "robots=0"], "robots: expected a whole number .* got 0"),
@@ -332,7 +332,7 @@ def test_a_damaged_run_is_refused_and_nothing_of_it_changes(
 
 
 def test_fewer_ticks_than_the_run_has_are_refused(neatq: Say, done: Path) -> None:
-    for ticks, pattern in (("50", "has 1[0-9]+ already, got 50"), ("-1", "at least 1, got -1")):
+    for ticks, pattern in (("50", "has 1[0-9]+ already, got 50"), ("-1", "at least 1 or None, got -1")):
         status, _, error = neatq("resume", str(done), "--ticks", ticks)
         assert status == 2
         assert re.fullmatch(f"neatq: error: ticks: .*{pattern}.*\n", error), error
