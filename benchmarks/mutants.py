@@ -36,6 +36,7 @@ class Room(NamedTuple):
     tests: tuple[str, ...]
 
 
+_RUNS = ("tests/trainers/test_arms.py", "tests/trainers/test_golden.py")
 ROOMS = {
     "settings": Room(
         "trainers/neatq_trainers/arms.py",
@@ -46,12 +47,8 @@ ROOMS = {
             "tests/trainers/test_gymnasium.py",
         ),
     ),
-    "learning": Room(
-        "neatq_torch/learning/*.py", ("tests/learning", "tests/trainers/test_golden.py")
-    ),
-    "evolution": Room(
-        "neatq_torch/evolution/*.py", ("tests/evolution", "tests/trainers/test_golden.py")
-    ),
+    "learning": Room("neatq_torch/learning/*.py", ("tests/learning", *_RUNS)),
+    "evolution": Room("neatq_torch/evolution/*.py", ("tests/evolution", *_RUNS)),
 }
 _COMPARED = ("Lt_LtE", "LtE_Lt", "Gt_GtE", "GtE_Gt", "Eq_NotEq", "NotEq_Eq", "Is_IsNot", "IsNot_Is")
 _COUNTED = ("Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "Pow_Mul")

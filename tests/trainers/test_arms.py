@@ -10,12 +10,16 @@ anew:
 
 from __future__ import annotations
 
+import hashlib
+import json
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from neatq_experiments.compare.cells import digest
-from neatq_torch.learning import TDConfig
+from neatq_torch.evolution import population_kinds
+from neatq_torch.learning import TDConfig, learner_kinds
 from neatq_trainers.arms import ARMS, preset
 
 DIGESTS = {
@@ -35,6 +39,17 @@ DIGESTS = {
     ("gym:Pendulum-v1", "neat+q"): "b67c774956fd",
     ("gym:Pendulum-v1", "qnetwork"): "f0f76f2d9620",
 }
+DEFAULTS = {
+    ("learner", "none"): "44136fa355b3",
+    ("learner", "td"): "254488fc029a",
+    ("learner", "replay"): "4b6a4e4f7a25",
+    ("learner", "traces"): "27a1f8b7d1a8",
+    ("learner", "table"): "473a57fb72fd",
+    ("population", "rtneat"): "be46105279a4",
+    ("population", "neat"): "5476e51f239b",
+    ("population", "fixed"): "b82154a8afcc",
+}
+"""Of the settings of a kind of part, as JSON."""
 TICKS = {
     "flag": 40_000,
     "moving": 60_000,
@@ -93,3 +108,10 @@ def test_another_learner_and_population_suit_a_gymnasium_task() -> None:
 
 def test_another_learner_keeps_its_own_discount_in_the_arena() -> None:
     assert preset("wall", "neat", learner="td").learner == TDConfig()
+
+
+@pytest.mark.parametrize(("noun", "name"), DEFAULTS)
+def test_a_kind_has_the_defaults_that_were_studied(noun: str, name: str) -> None:
+    kinds = {"learner": learner_kinds, "population": population_kinds}[noun]
+    values = json.dumps(msgspec.to_builtins(kinds.config(name)()), sort_keys=True)
+    assert hashlib.sha256(values.encode()).hexdigest()[:12] == DEFAULTS[noun, name]
