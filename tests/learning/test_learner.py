@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import ArrayLike
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 
 from neatq_torch.genome import Genome, InnovationLedger, MutationConfig, initial_genome, mutate
 from neatq_torch.learning import (
@@ -244,3 +245,21 @@ def test_plain_steps_are_in_units_of_the_outputs(optimizer: Literal["sgd", "adam
             learner.update(batch)
         weights.append(network.weight.detach())
     torch.testing.assert_close(weights[0], weights[1], rtol=1e-3, atol=1e-5)
+
+
+def test_a_value_network_without_heads_has_values_in_units_of_its_outputs() -> None:
+    class Values(TensorDictModuleBase):
+        def __init__(self, network: PopulationNetwork) -> None:
+            super().__init__()
+            self.in_keys = ["observation"]
+            self.out_keys = ["action_value", "chosen_action_value"]
+            self.network = network
+
+        def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+            values = self.network(tensordict["observation"])
+            tensordict.set("action_value", values)
+            return tensordict.set("chosen_action_value", values.amax(-1, keepdim=True))
+
+    network, _, _ = parts()
+    learner = TDLearner(network, CandidateTDLoss(Values(network)), TDConfig(learning_rate=0.3))
+    assert learner.square == 1.0 and learner.learning_rate.tolist() == pytest.approx([0.3] * 3)
