@@ -104,6 +104,18 @@ def test_without_exploration_the_best_candidate_is_taken_and_of_equals_the_first
         assert greedy((1, 2), epsilon=1.0)(values).tolist() == [[1, 0]]
 
 
+def test_without_epsilon_not_even_the_smallest_chance_explores() -> None:
+    explore, values = greedy((1, 2), epsilon=0.0), torch.tensor([[[0.1, 0.9], [0.9, 0.1]]])
+    explore(values)
+    explore._chance.zero_()
+    assert [explore(values).tolist() for _ in range(20)] == [[[1, 0]]] * 20
+
+
+def test_heads_without_a_candidate_are_refused() -> None:
+    with pytest.raises(ValueError, match="at least 1 candidate, got 0"):
+        CandidateHeads(0, [0.0], [1.0])
+
+
 def test_exploration_takes_all_candidates_alike_at_the_rate_epsilon() -> None:
     explore, values = greedy((4, 50), epsilon=0.2), torch.zeros(4, 50, 5)
     values[..., 0] = 1.0

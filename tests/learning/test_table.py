@@ -73,3 +73,13 @@ def test_tables_grow_and_come_back_from_their_state() -> None:
     again.load_state_dict(q.state_dict())
     found = np.concatenate([again.rows(observation) for observation in grid])
     assert (again.values[found, 0] == rows).all()
+
+
+def test_an_actor_goes_on_with_its_own_chance() -> None:
+    seen = TensorDict({"observation": torch.zeros(1, 1, 2)}, (1, 1))
+    one, other = table(), table()
+    for _ in range(3):
+        one.policy(seen)
+    other.policy.load_state_dict(one.policy.state_dict())
+    again = [actor.policy(seen.clone())["action"].tolist() for actor in (one, other)]
+    assert again[0] == again[1] != table().policy(seen.clone())["action"].tolist()
