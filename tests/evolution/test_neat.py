@@ -191,6 +191,19 @@ def test_after_20_generations_without_a_record_only_the_two_best_species_breed()
     assert species_of() == [9, 9, 0]
 
 
+def test_whoever_breeds_again_after_a_standstill_is_given_time_again() -> None:
+    still = replace(MUTATION, add_node_prob=0.0, add_link_prob=0.0, link_weights_prob=0.0)
+    alone = replace(NEAT_2002, mutation=still, mutate_only_prob=1.0)
+    config: dict[str, Any] = {"stagnation_generations": 1000, "refocus_generations": 2}
+    population = apart(*[0.0] * 6, *[10.0] * 6, *[20.0] * 6, reproduction=alone, **config)
+    for generation in range(3):
+        assert population.records[0][2] == 0, generation
+        weights = np.array([one.link_weight[0] for one in population.genomes])
+        population.tell(np.where(weights == 10.0, 5.0, np.where(weights == 0.0, 4.0, 3.0)))
+    reached = {number: generation for number, _, generation in population.records}
+    assert (reached[0], sorted(reached.values())) == (2, [0, 2, 2, 2])
+
+
 def test_all_breeders_have_the_same_chance_and_nobody_else_breeds() -> None:
     still = replace(MUTATION, add_node_prob=0.0, add_link_prob=0.0, link_weights_prob=0.0)
     alone = replace(NEAT_2002, mutation=still, mutate_only_prob=1.0)

@@ -103,12 +103,12 @@ def test_extra_genes_come_from_the_fitter_parent_except_between_species() -> Non
     config = replace(NEAT_2002, mutation=STILL)
     ledger, rng = InnovationLedger.for_genomes([SECOND.genome]), np.random.default_rng(0)
 
-    def links(short_fitness: float, *, interspecies: bool) -> int:
+    def links(short_fitness: float, **interspecies: bool) -> int:
         parents = (Parent(short, short_fitness), SECOND)
-        child = offspring(parents, config, ledger, rng, genome_id=9, interspecies=interspecies)
+        child = offspring(parents, config, ledger, rng, genome_id=9, **interspecies)
         return child.link_innovation.size
 
-    assert links(3.0, interspecies=False) == 2
+    assert links(3.0, interspecies=False) == links(3.0) == 2
     assert links(1.0, interspecies=False) == 3
     assert links(3.0, interspecies=True) == 3
 
