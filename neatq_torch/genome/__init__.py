@@ -6,7 +6,7 @@ from neatq_torch.genome.genome import Genome, load_genome, pack_genomes, save_ge
 from neatq_torch.genome.graph import node_levels
 from neatq_torch.genome.initial import initial_genome, layered_genome, random_genome
 from neatq_torch.genome.innovation import InnovationLedger
-from neatq_torch.genome.mutation import MutationConfig, add_link, add_node, mutate
+from neatq_torch.genome.mutation import MutationConfig, mutate
 from neatq_torch.genome.rules import ACTIVATIONS, GenomeError, NodeKind
 
 __all__ = [
@@ -19,8 +19,6 @@ __all__ = [
     "LinkTable",
     "MutationConfig",
     "NodeKind",
-    "add_link",
-    "add_node",
     "compatibility",
     "first_compatible",
     "first_is_fitter",

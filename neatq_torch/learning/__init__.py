@@ -6,7 +6,6 @@ from neatq_torch.learning.genes import LearningGenes
 from neatq_torch.learning.heads import CandidateHeads, DiscreteHeads, Heads
 from neatq_torch.learning.learner import (
     Learner,
-    NoLearning,
     NoLearningConfig,
     StepConfig,
     TDConfig,
@@ -31,7 +30,6 @@ __all__ = [
     "Learner",
     "LearnerParts",
     "LearningGenes",
-    "NoLearning",
     "NoLearningConfig",
     "ReplayConfig",
     "ReplayLearner",

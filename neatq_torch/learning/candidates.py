@@ -112,7 +112,7 @@ class CandidatePolicy(TensorDictModuleBase):
         """Add every robot's action, and what led to it, to `tensordict`."""
         observation = tensordict.get("observation")
         if self.forgets and (begins := tensordict.get("step_count").squeeze(-1) == 0).any():
-            self.reset(begins)
+            self._forget(begins)
         output, memory = self.network.step(observation, self.memory)
         candidates, values = self.heads(output)
         index = self.exploration(values)
@@ -137,10 +137,15 @@ class CandidatePolicy(TensorDictModuleBase):
 
     def reset(self, newborn: Tensor) -> None:
         """Let newborns (mask [*shape]) start afresh: no state or exploration of those before."""
-        memory = fitted(self.memory, self.network.initial_state())
-        self.memory = memory.masked_fill(newborn.unsqueeze(-1), 0.0)
-        self.previous = self.previous.masked_fill(newborn.unsqueeze(-1), 0.0)
-        self.exploration.reset(newborn)
+        self.memory = fitted(self.memory, self.network.initial_state())
+        self._forget(newborn)
+
+    def _forget(self, mask: Tensor) -> None:
+        if self.network.state_size:
+            self.memory = self.memory.masked_fill(mask.unsqueeze(-1), 0.0)
+        if self.double_activation:
+            self.previous = self.previous.masked_fill(mask.unsqueeze(-1), 0.0)
+        self.exploration.reset(mask)
 
     def state_dict(self, *args: Any, **settings: Any) -> dict[str, Any]:
         """Recurrent state and exploration; torch's own for a module around it."""

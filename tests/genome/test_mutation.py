@@ -13,12 +13,17 @@ from neatq_torch.genome import (
     InnovationLedger,
     MutationConfig,
     NodeKind,
-    add_link,
-    add_node,
     initial_genome,
     mutate,
 )
-from neatq_torch.genome.mutation import mutate_weights, mutated_weights, reenable, toggle_enable
+from neatq_torch.genome.mutation import (
+    add_link,
+    add_node,
+    mutate_weights,
+    mutated_weights,
+    reenable,
+    toggle_enable,
+)
 
 PLAIN = MutationConfig()
 START = 10.0  # far from U(-0.5, 0.5), so that new weights and moved ones cannot be confused

@@ -20,7 +20,6 @@ from neatq_torch.learning import (
     Heads,
     Learner,
     LearnerParts,
-    NoLearning,
     NoLearningConfig,
     ReplayConfig,
     ReplayLearner,
@@ -33,6 +32,7 @@ from neatq_torch.learning import (
     learner_kinds,
     register_learner,
 )
+from neatq_torch.learning.learner import NoLearning
 from neatq_torch.network import PopulationNetwork
 
 HEADS = CandidateHeads(3, [0.0], [1.0])

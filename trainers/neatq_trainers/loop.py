@@ -89,7 +89,8 @@ def strides(run: Run, callbacks: Sequence[Callback] = ()) -> Generator[Stride]:
 
 def make_collector(run: Run) -> Collector:
     """A collector of batches [arenas, slots, ticks], without end."""
-    explores = getattr(run.config.learner, "epsilon", 1.0) > 0  # else nothing is drawn for it
+    own = getattr(run.policy, "exploration", None)
+    explores = own is None or bool(own.epsilon.any())  # else nothing is drawn for it
     chance: Any = ExplorationType.RANDOM if explores else ExplorationType.DETERMINISTIC
     kind = _RowsCollector if isinstance(run.world.env, RowsEnv) else Collector
     return kind(
