@@ -27,8 +27,8 @@ _HELP = """Train a population and write a run folder.
     --env-kwargs NAME=VALUE ...: keys of the scenario (robots=30 lifetime_ticks=500), or arguments
     of the Gymnasium environment (continuous=true); values are JSON
 
-    neatq list says which tasks, arms, populations and learners there are. What config.json has
-    beyond this help can be set, too: --population.reproduction.mutation.split-tries 30"""
+    neatq list says which tasks, arms, populations and learners there are. The rarest settings of
+    population.reproduction in config.json are not shown, but have options named like the others."""
 _MORE = """    out: The run folder; new or empty. Default: runs/TASK-ARM-seedSEED.
         workers: Processes; the results do not depend on it. Default: those that fit this machine.
     """
