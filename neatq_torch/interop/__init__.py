@@ -1,0 +1,1 @@
+"""Networks that travel: out of the library and into it."""
