@@ -17,7 +17,8 @@ LENGTH = $(if $(TICKS),--ticks $(TICKS)) $(if $(GENERATIONS),--generations $(GEN
 WORKERS ?= 2
 
 VENV := .venv
-BIN := $(VENV)/bin
+# Windows has its programs elsewhere.
+BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
 WHEEL_DIR := build/wheel
 
