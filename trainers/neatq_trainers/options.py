@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import Field, field, fields, is_dataclass, make_dataclass, replace
+from inspect import cleandoc
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -29,9 +30,9 @@ _HELP = """Train a population and write a run folder.
 
     neatq list says which tasks, arms, populations and learners there are. The rarest settings of
     population.reproduction in config.json are not shown, but have options named like the others."""
-_MORE = """    out: The run folder; new or empty. Default: runs/TASK-ARM-seedSEED.
-        workers: Processes; the results do not depend on it. Default: those that fit this machine.
-    """
+_MORE = """
+    out: The run folder; new or empty. Default: runs/TASK-ARM-seedSEED.
+    workers: Processes; the results do not depend on it. Default: those that fit this machine."""
 _RARE = """interspecies_mate_prob multipoint_prob mutation.new_link_tries mutation.split_tries
     mutation.split_old_below mutation.split_weight_scale mutation.hidden_activation
     mutation.forward_from_outputs mutation.recurrent_loop_prob mutation.new_link_weight_power
@@ -67,7 +68,8 @@ def options_of(default: RunConfig, given: Sequence[str]) -> type:
             columns.append((part, kind, field(default=kind())))
     columns += [("out", Path | None, None), ("workers", int | None, None)]
     kind = make_dataclass("TrainOptions", columns, frozen=True, kw_only=True)
-    kind.__doc__ = f"{_HELP}\n\n{(RunConfig.__doc__ or '').split(chr(10), 2)[2]}{_MORE}"
+    settings = cleandoc(RunConfig.__doc__ or "").partition("\n\n")[2]
+    kind.__doc__ = f"{cleandoc(_HELP)}\n\n{settings}{_MORE}"
     return kind
 
 
