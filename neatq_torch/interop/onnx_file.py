@@ -1,0 +1,120 @@
+"""Networks as ONNX files, for ONNX Runtime and whatever reads such files."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from torch import Tensor, nn
+
+from neatq_torch.atomic import write_atomic
+from neatq_torch.interop.extras import refuse_missing
+
+
+@runtime_checkable
+class Stepping(Protocol):
+    """What a network must have to be written: a `GenomeNetwork` has it."""
+
+    inputs: int
+
+    @property
+    def state_size(self) -> int:
+        """Numbers that are kept from call to call; 0 for none."""
+        ...
+
+    def initial_state(self, batch: Sequence[int] = ()) -> Tensor:
+        """The state before the first call [*batch, state_size]."""
+        ...
+
+    def step(self, observation: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Outputs and the next state."""
+        ...
+
+
+class _Call(nn.Module):
+    """One call of a network, with the state in and out where there is one."""
+
+    def __init__(self, network: Stepping) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, observation: Tensor, state: Tensor | None = None) -> tuple[Tensor, ...]:
+        if state is None:
+            empty = self.network.initial_state(observation.shape[:1])
+            return self.network.step(observation, empty)[:1]
+        return self.network.step(observation, state)
+
+
+def to_onnx(
+    network: Stepping,
+    path: Path | str,
+    *,
+    output_name: str = "output",
+    metadata: Mapping[str, str] | None = None,
+) -> None:
+    """Write a network as an ONNX file, by torch's exporter ("dynamo").
+
+    The file takes `observation` [batch, inputs] and gives `output` [batch, outputs], in the
+    precision of the network's weights, for any batch. A network with recurrent links, or one that
+    is evaluated synchronously, takes `state` [batch, state_size], too, and gives `next_state`:
+    zeros where an episode begins, then what the call before gave.
+
+    Args:
+        network: A `GenomeNetwork`, or another module with its `inputs`, `state_size`,
+            `initial_state` and `step`. It stays as it is.
+        path: The file to write, whole or not at all.
+        output_name: What the file calls the output.
+        metadata: Texts that the file carries with it.
+
+    Raises:
+        ModuleNotFoundError: onnx or onnxscript are not installed.
+        TypeError: The network lacks what it must have; networks of a whole population are written
+            one by one.
+
+    Example:
+        >>> to_onnx(GenomeNetwork(genome), "champion.onnx")
+        >>> session = onnxruntime.InferenceSession("champion.onnx")
+        >>> (output,) = session.run(None, {"observation": observations})
+    """
+    refuse_missing("to_onnx", onnx="neatq_torch[onnx]", onnxscript="neatq_torch[onnx]")
+    if not isinstance(network, Stepping) or network.initial_state().ndim != 1:
+        raise TypeError(
+            f"to_onnx: expected the network of one genome, such as GenomeNetwork(genome); got "
+            f"{type(network).__name__}."
+        )
+    network = copy.deepcopy(network).cpu().eval()  # pyright: ignore[reportAttributeAccessIssue]
+    state = network.initial_state((2,))
+    tensors, names = (state.new_zeros(2, network.inputs),), ["observation"]
+    if network.state_size:
+        tensors, names = (*tensors, state), [*names, "state"]
+    program = _exported(
+        _Call(network).eval(),
+        tensors,
+        input_names=names,
+        output_names=[output_name, "next_state"][: len(names)],
+        dynamic_shapes=({0: torch.export.Dim("batch")},) * len(names),
+    )
+    model = program.model_proto
+    for key, text in (metadata or {}).items():
+        model.metadata_props.add(key=key, value=text)
+    write_atomic(Path(path), model.SerializeToString())
+
+
+def _exported(module: nn.Module, tensors: tuple[Tensor, ...], **names: Any) -> Any:
+    """What torch's exporter makes, without its words on other people's packages."""
+    log = logging.getLogger("torch.onnx")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings(), torch.no_grad():
+            warnings.simplefilter("ignore")
+            return torch.onnx.export(
+                module, tensors, dynamo=True, verbose=False, external_data=False, **names
+            )
+    finally:
+        log.setLevel(level)
