@@ -61,32 +61,15 @@ def to_c(
         )
     recipe = Recipe.of(genome, evaluation)
     macro, state = name.upper(), "float *state, " if recipe.state else ""
-    return "\n".join(
-        [
-            *(f"// {line}".rstrip() for line in described(genome, recipe, comment)),
-            "//",
-            *(f"// {line}" for line in _interface(name, macro, recipe)),
-            f"#ifndef {macro}_H",
-            f"#define {macro}_H",
-            "",
-            "#include <math.h>",
-            "",
-            f"#define {macro}_INPUTS {recipe.inputs}",
-            f"#define {macro}_OUTPUTS {len(recipe.outputs)}",
-            f"#define {macro}_STATE {recipe.state}",
-            "",
-            f"static inline void {name}_step(const float *observation, {state}float *output)",
-            "{",
-            *(
-                f"    {line}".rstrip()
-                for line in (*_tables(recipe, scaling), *_body(recipe, scaling))
-            ),
-            "}",
-            "",
-            "#endif",
-            "",
-        ]
-    )
+    sizes = {"INPUTS": recipe.inputs, "OUTPUTS": len(recipe.outputs), "STATE": recipe.state}
+    about = [*described(genome, recipe, comment), "", *_interface(name, macro, recipe)]
+    body = [*_tables(recipe, scaling), *_body(recipe, scaling)]
+    lines = [f"// {line}".rstrip() for line in about]
+    lines += [f"#ifndef {macro}_H", f"#define {macro}_H", "", "#include <math.h>", ""]
+    lines += [f"#define {macro}_{size} {number}" for size, number in sizes.items()]
+    lines += ["", f"static inline void {name}_step(const float *observation, {state}float *output)"]
+    lines += ["{", *(f"    {line}".rstrip() for line in body), "}", "", "#endif", ""]
+    return "\n".join(lines)
 
 
 def _interface(name: str, macro: str, recipe: Recipe) -> list[str]:

@@ -18,7 +18,7 @@ PYTHON_FORMULAS = {
     "relu": "0.0 if x <= 0.0 else x",
 }
 
-_STEP = '''
+_STEP_FUNCTION = '''
 
 def step(observation, state=(0.0,) * STATE):
     """Outputs for an observation, and the state for the next call."""
@@ -87,7 +87,7 @@ def to_python(
         links = tuple(zip(map(float, node.weights), node.sources, strict=True))
         lines += [textwrap.indent(f"({node.activation}, {_numbers('', links)}),", "    ")]
     lines += [")", f"RESULT = {recipe.outputs}", f"KEPT = {recipe.kept}", ""]
-    return "\n".join(lines) + _STEP.format(read=read)
+    return "\n".join(lines) + _STEP_FUNCTION.format(read=read)
 
 
 def _numbers(name: str, values: tuple[Any, ...]) -> str:
