@@ -14,11 +14,16 @@ from nbclient import NotebookClient
 
 import neatq_envs
 import neatq_torch
+import neatq_torch.interop
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-FACE = {"neatq_torch": neatq_torch.__all__, "neatq_envs": neatq_envs.__all__}
+FACE = {
+    "neatq_torch": neatq_torch.__all__,
+    "neatq_torch.interop": neatq_torch.interop.__all__,
+    "neatq_envs": neatq_envs.__all__,
+}
 MOST_NAMES = 40
 CELL_LIMIT_SECONDS = 120
 

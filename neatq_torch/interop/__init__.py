@@ -3,7 +3,16 @@
 from neatq_torch.interop.c_source import to_c
 from neatq_torch.interop.graphs import to_graphviz, to_networkx
 from neatq_torch.interop.neat_python import load_neat_python
+from neatq_torch.interop.neat_python_config import load_neat_python_config
 from neatq_torch.interop.onnx_file import to_onnx
 from neatq_torch.interop.python_source import to_python
 
-__all__ = ["load_neat_python", "to_c", "to_graphviz", "to_networkx", "to_onnx", "to_python"]
+__all__ = [
+    "load_neat_python",
+    "load_neat_python_config",
+    "to_c",
+    "to_graphviz",
+    "to_networkx",
+    "to_onnx",
+    "to_python",
+]

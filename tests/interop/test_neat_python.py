@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import neat
+import neat.activations
+import neat.aggregations
 import numpy as np
 import pytest
 import torch
@@ -31,7 +33,7 @@ from neatq_torch.interop.neat_python_network import (
 from neatq_torch.network import Evaluation, GenomeNetwork
 
 CONFIG = Path(__file__).with_name("data") / "neat_python.cfg"
-PLAIN = {"activation_options": ["sigmoid", "tanh", "relu", "identity"]}
+PLAIN: dict[str, Any] = {"activation_options": ["sigmoid", "tanh", "relu", "identity"]}
 PLAIN |= {"aggregation_options": ["sum", "mean"]}
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*utcnow:DeprecationWarning")  # in neat.export
