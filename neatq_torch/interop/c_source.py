@@ -93,10 +93,12 @@ def _tables(recipe: Recipe, scaling: Scaling | None) -> list[str]:
         lines += [*_floats_table("offset", offset), *_floats_table("scale", scale)]
     lines += ["// Weight of each link, and the value that it reads."]
     lines += [*_floats_table("weight", weights), *_integers_table("source", sources)]
-    words = ", ".join(f"{code} {ACTIVATIONS[code]}" for code in sorted(set(activations)))
-    lines += [f"// Links into each node, and its activation ({words})."]
+    lines += ["// Links into each node."]
     lines += _integers_table("links", [len(node.weights) for node in nodes])
-    lines += _integers_table("activation", activations)
+    if any(activations):
+        words = ", ".join(f"{code} {ACTIVATIONS[code]}" for code in sorted(set(activations)))
+        lines += [f"// Activation of each node: {words}."]
+        lines += _integers_table("activation", activations)
     lines += ["// Values that are the outputs, and the state of the next call."]
     lines += _integers_table("result", recipe.outputs)
     return lines + (_integers_table("kept", recipe.kept) if recipe.state else [])
@@ -129,7 +131,15 @@ def _body(recipe: Recipe, scaling: Scaling | None) -> list[str]:
             f"value[i] = x > {largest} ? {largest} : x < -{largest} ? -{largest} : x;",
         ]
     inputs, state, first, nodes = recipe.inputs, recipe.state, recipe.first_node, len(recipe.nodes)
-    used = sorted({ACTIVATIONS.index(node.activation) for node in recipe.nodes})
+    used = sorted({ACTIVATIONS.index(node.activation) for node in recipe.nodes} - {0})
+    cases = [f"    case {one}: sum = {C_FORMULAS[ACTIVATIONS[one]]}; break;" for one in used]
+    if cases:
+        cases = [
+            "    switch (activation[node]) {",
+            *cases,
+            "    default: break;  // identity",
+            "    }",
+        ]
     lines = ["", f"float value[{first + nodes}];  // inputs, 1 for the bias, state, nodes", ""]
     lines += [f"for (int i = 0; i < {inputs}; i++) {{", *(f"    {one}" for one in read), "}"]
     lines += [f"value[{inputs}] = 1.0f;"]
@@ -140,10 +150,7 @@ def _body(recipe: Recipe, scaling: Scaling | None) -> list[str]:
         "    float sum = 0.0f;",
         "    for (int i = 0; i < links[node]; i++, link++)",
         "        sum += weight[link] * value[source[link]];",
-        "    switch (activation[node]) {",
-        *(f"    case {one}: sum = {C_FORMULAS[ACTIVATIONS[one]]}; break;" for one in used if one),
-        "    default: break;  // identity",
-        "    }",
+        *cases,
         f"    value[{first} + node] = sum;",
         "}",
         f"for (int i = 0; i < {len(recipe.outputs)}; i++) output[i] = value[result[i]];",

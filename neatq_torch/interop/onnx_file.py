@@ -92,29 +92,34 @@ def to_onnx(
     tensors, names = (state.new_zeros(2, network.inputs),), ["observation"]
     if network.state_size:
         tensors, names = (*tensors, state), [*names, "state"]
-    program = _exported(
-        _Call(network).eval(),
-        tensors,
-        input_names=names,
-        output_names=[output_name, "next_state"][: len(names)],
-        dynamic_shapes=({0: torch.export.Dim("batch")},) * len(names),
-    )
+    outputs = [output_name, "next_state"][: len(names)]
+    program = _exported(_Call(network).eval(), tensors, names, outputs)
     model = program.model_proto
     for key, text in (metadata or {}).items():
         model.metadata_props.add(key=key, value=text)
     write_atomic(Path(path), model.SerializeToString())
 
 
-def _exported(module: nn.Module, tensors: tuple[Tensor, ...], **names: Any) -> Any:
+def _exported(
+    module: nn.Module, tensors: tuple[Tensor, ...], inputs: list[str], outputs: list[str]
+) -> Any:
     """What torch's exporter makes, without its words on other people's packages."""
     log = logging.getLogger("torch.onnx")
     level = log.level
     log.setLevel(logging.ERROR)
+    shapes = ({0: torch.export.Dim("batch")},) * len(tensors)
     try:
         with warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("ignore")
+            # Not left to torch.onnx, which falls back to a single size of batch without a word.
+            program = torch.export.export(module, tensors, dynamic_shapes=shapes)
             return torch.onnx.export(
-                module, tensors, dynamo=True, verbose=False, external_data=False, **names
+                program,
+                dynamo=True,
+                verbose=False,
+                external_data=False,
+                input_names=inputs,
+                output_names=outputs,
             )
     finally:
         log.setLevel(level)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -124,4 +125,5 @@ def described(genome: Genome, recipe: Recipe, comment: Sequence[str]) -> list[st
     ]
     if genome.observation_schema:
         lines.append(f"It reads the observations {genome.observation_schema!r}.")
-    return [ascii(line)[1:-1] for text in (*lines, *comment) for line in text.splitlines()]
+    plain = (ascii(line)[1:-1] for text in (*lines, *comment) for line in text.splitlines())
+    return [part for line in plain for part in textwrap.wrap(line, 94) or [""]]

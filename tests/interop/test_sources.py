@@ -31,7 +31,7 @@ from neatq_torch.kinds import ConfigError
 from neatq_torch.network import Evaluation, GenomeNetwork
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
-FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wno-unused", "-pedantic"]
+FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-pedantic"]
 GROWTH = MutationConfig(
     add_node_prob=0.4, add_link_prob=0.8, recurrent_link_prob=0.4, toggle_enable_prob=0.3
 )
@@ -184,6 +184,15 @@ def test_the_c_header_of_a_small_network_by_hand(tmp_path: Path) -> None:
     (tmp_path / "scaled").mkdir()
     scaled = to_c(small(), scaling=([-1.0], [1.0], 3.0))
     assert c_steps(scaled, tmp_path / "scaled", STEPS, 1).tolist() == SCALED_BY_HAND
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+def test_a_network_without_links_compiles_without_a_warning(tmp_path: Path) -> None:
+    genome = small().replaced(
+        link_enabled=[False] * 4, node_activation=[0, 0, ACTIVATIONS.index("identity")]
+    )
+    assert c_steps(to_c(genome), tmp_path, STEPS, 1).tolist() == [[0.0]] * 3
+    assert python_steps(to_python(genome), STEPS).tolist() == [[0.0]] * 3
 
 
 def test_the_sources_say_what_they_take_and_give() -> None:

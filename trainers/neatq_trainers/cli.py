@@ -9,19 +9,21 @@ from collections.abc import Sequence
 _COMMANDS = {
     "train": ("neatq_trainers.commands", "train_command"),
     "resume": ("neatq_trainers.commands", "resume_command"),
+    "export": ("neatq_trainers.export", "export_command"),
     "compare": ("neatq_experiments.command", "compare_command"),
     "reproduce": ("neatq_experiments.command", "reproduce_command"),
     "list": ("neatq_trainers.commands", "list_command"),
 }
 """Where the function of each command is."""
 
-_USAGE = """usage: neatq {train,resume,compare,reproduce,list} ...
+_USAGE = """usage: neatq {train,resume,export,compare,reproduce,list} ...
 
 Neuroevolution that learns during life, on robots in an arena, on any Gymnasium task and in worlds
 of your own.
 
   neatq train      train a population and write a run folder   (neatq train --help)
   neatq resume     go on with a run, exactly where it stopped  (neatq resume --help)
+  neatq export     write a champion as ONNX, C or Python       (neatq export --help)
   neatq compare    run arms beside each other on tasks         (neatq compare --list)
   neatq reproduce  run a published experiment                  (neatq reproduce list)
   neatq list       say which tasks, arms, populations and learners there are
