@@ -112,8 +112,8 @@ def _floats_table(name: str, values: Iterable[float | np.floating]) -> list[str]
 def _integers_table(name: str, values: Sequence[int]) -> list[str]:
     """A table of the smallest type of integers that holds it."""
     most = max(values, default=0)
-    size = "char" if most < 256 else "short" if most < 65536 else "long"
-    return _array(f"unsigned {size} {name}", [str(value) for value in values] or ["0"])
+    kind = "unsigned char" if most < 256 else "unsigned short" if most < 65536 else "int"
+    return _array(f"{kind} {name}", [str(value) for value in values] or ["0"])
 
 
 def _array(name: str, numbers: Sequence[str]) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ from neatq_torch.interop.python_source import PYTHON_FORMULAS
 from neatq_torch.kinds import ConfigError
 from neatq_torch.network import Evaluation, GenomeNetwork
 
-COMPILER = shutil.which("gcc") or shutil.which("cc")
+COMPILER = None if sys.platform == "win32" else shutil.which("gcc") or shutil.which("cc")
 FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-pedantic"]
 GROWTH = MutationConfig(
     add_node_prob=0.4, add_link_prob=0.8, recurrent_link_prob=0.4, toggle_enable_prob=0.3
@@ -184,6 +185,25 @@ def test_the_c_header_of_a_small_network_by_hand(tmp_path: Path) -> None:
     (tmp_path / "scaled").mkdir()
     scaled = to_c(small(), scaling=([-1.0], [1.0], 3.0))
     assert c_steps(scaled, tmp_path / "scaled", STEPS, 1).tolist() == SCALED_BY_HAND
+
+
+def test_a_forward_and_a_recurrent_link_between_the_same_nodes_both_count() -> None:
+    twice = small().replaced(
+        link_source=[1, 1, 3, 2],
+        link_weight=[0.5, 0.25, 9.0, 9.0],
+        link_enabled=[True, True, False, False],
+        link_recurrent=[False, True, True, False],
+    )
+    late = python_steps(to_python(twice), STEPS).tolist()
+    assert late == [[0.5], [0.5 * 3 + 0.25 * 1], [0.0]]
+    at_once = python_steps(to_python(twice, evaluation="synchronous"), STEPS).tolist()
+    assert at_once == [[0.75], [0.75 * 3], [0.0]]
+
+
+def test_tables_of_whole_numbers_are_as_small_as_they_can_be() -> None:
+    for inputs, kind in ((200, "unsigned char"), (300, "unsigned short")):
+        genome = initial_genome(inputs, 1, rng=np.random.default_rng(0))
+        assert f"static const {kind} source[{inputs + 1}]" in to_c(genome)
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
