@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 import tyro
 from gymnasium import spaces
@@ -179,6 +180,7 @@ def _travelling(path: Path) -> Travelling:
         f"The champion of {run.config.arm} on {run.config.task}.",
         _what_it_takes(policy),
         *what_it_gives(policy.heads, _first_choice(policy.interface) or 0),
+        *_what_is_whole(policy.interface),
     )
     if network.double_activation:
         comment += (
@@ -202,6 +204,16 @@ def _what_it_takes(policy: ChampionPolicy) -> str:
         return "observation: as the world gives it."
     space = " ".join(str(policy.interface.observation).split())
     return f"observation: {space} of the environment, flat; a Discrete one as ones and zeros."
+
+
+def _what_is_whole(interface: Interface | None) -> list[str]:
+    space = None if interface is None else interface.action
+    if space is None or isinstance(space, spaces.Discrete):
+        return []
+    if isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.floating):
+        return []
+    words = " ".join(str(space).split())
+    return [f"The environment takes {words}: round whole numbers down, to the greatest at most."]
 
 
 def what_it_gives(heads: Heads, first: int) -> list[str]:
