@@ -106,17 +106,17 @@ def _tables(recipe: Recipe, scaling: Scaling | None) -> list[str]:
 
 def _floats_table(name: str, values: Iterable[float | np.floating]) -> list[str]:
     numbers = [f"{np.float32(value)!s}f" for value in values]
-    return _array(f"float {name}", numbers or ["0.0f"])
+    return _static_array(f"float {name}", numbers or ["0.0f"])
 
 
 def _integers_table(name: str, values: Sequence[int]) -> list[str]:
     """A table of the smallest type of integers that holds it."""
     most = max(values, default=0)
     kind = "unsigned char" if most < 256 else "unsigned short" if most < 65536 else "int"
-    return _array(f"{kind} {name}", [str(value) for value in values] or ["0"])
+    return _static_array(f"{kind} {name}", [str(value) for value in values] or ["0"])
 
 
-def _array(name: str, numbers: Sequence[str]) -> list[str]:
+def _static_array(name: str, numbers: Sequence[str]) -> list[str]:
     text = f"static const {name}[{len(numbers)}] = {{{', '.join(numbers)}}};"
     return textwrap.wrap(text, 94, subsequent_indent="    ")
 

@@ -78,17 +78,17 @@ def to_python(
     lines += ["import math", ""]
     sizes = {"INPUTS": recipe.inputs, "OUTPUTS": len(recipe.outputs), "STATE": recipe.state}
     lines += [f"{name} = {size}" for name, size in sizes.items()]
-    lines += [_numbers(f"{name} = ", values) for name, values in numbers.items()]
+    lines += [_tuple_text(f"{name} = ", values) for name, values in numbers.items()]
     for one in used:
         lines += ["", "", f"def {one}(x):", f"    return {PYTHON_FORMULAS[one]}"]
     lines += ["", "", "# Values stand in this order: inputs, 1 for the bias, state, nodes."]
     lines += ["NODES = (  # activation, and (weight, value that it weighs) of each link"]
     for node in recipe.nodes:
         links = tuple(zip(map(float, node.weights), node.sources, strict=True))
-        lines += [textwrap.indent(f"({node.activation}, {_numbers('', links)}),", "    ")]
+        lines += [textwrap.indent(f"({node.activation}, {_tuple_text('', links)}),", "    ")]
     lines += [")", f"RESULT = {recipe.outputs}", f"KEPT = {recipe.kept}", ""]
     return "\n".join(lines) + _STEP_FUNCTION.format(read=read)
 
 
-def _numbers(name: str, values: tuple[Any, ...]) -> str:
+def _tuple_text(name: str, values: tuple[Any, ...]) -> str:
     return "\n".join(textwrap.wrap(f"{name}{values}", 92, subsequent_indent="    "))

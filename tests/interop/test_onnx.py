@@ -104,8 +104,8 @@ class Step(nn.Module):
         super().__init__()
         self.network = network
 
-    def forward(self, observation: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        return self.network.step(observation, state)
+    def forward(self, observation: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        return self.network.step(observation, observation[..., :0] if state is None else state)
 
 
 def check_over_steps(exported: Callable[..., Any], network: GenomeNetwork) -> None:
@@ -113,7 +113,7 @@ def check_over_steps(exported: Callable[..., Any], network: GenomeNetwork) -> No
     theirs = ours = network.initial_state((5,))
     for number in range(5):
         observation = torch.randn(5, 3, generator=torch.Generator().manual_seed(number))
-        found, theirs = exported(observation, theirs)
+        found, theirs = exported(*((observation, theirs) if network.state_size else (observation,)))
         wanted, ours = network.step(observation, ours)
         torch.testing.assert_close(found, wanted, atol=1e-6, rtol=1e-6)
         torch.testing.assert_close(theirs, ours, atol=1e-6, rtol=1e-6)
@@ -124,10 +124,8 @@ def check_over_steps(exported: Callable[..., Any], network: GenomeNetwork) -> No
 def test_an_exported_program_is_saved_and_loaded_and_takes_any_batch(
     network: GenomeNetwork, strict: bool, tmp_path: Path
 ) -> None:
-    rows = {0: torch.export.Dim("rows")}
-    given = torch.zeros(3, 3), network.initial_state((3,))
-    # An empty state is handed through, so that nothing is known of how many rows it has.
-    shapes = (rows, rows if network.state_size else {0: torch.export.Dim("others")})
+    given = (torch.zeros(3, 3), network.initial_state((3,)))[: 1 + bool(network.state_size)]
+    shapes = ({0: torch.export.Dim("rows")},) * len(given)
     program = torch.export.export(Step(network), given, dynamic_shapes=shapes, strict=strict)
     torch.export.save(program, tmp_path / "network.pt2")
     check_over_steps(torch.export.load(tmp_path / "network.pt2").module(), network)
