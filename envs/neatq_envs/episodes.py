@@ -12,11 +12,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neatq_envs.gymnasium_rows import EnvRows, Mask, RowError
+from neatq_envs.observations import input_name
 
 TRAINING, EVALUATION, TEST, RANDOM_PLAY = 0, 1, 2, 3
 """What episodes are for: each purpose has seeds of its own."""
 _EPISODE_ARRAYS = ("observation", "reward", "returns", "terminated", "truncated")
 _EPISODE_ARRAYS += ("living", "episode", "step_count", "steps", "seed")
+
+
+LARGEST_INPUT = float(np.finfo(np.float32).max)
+LARGEST_REWARD = 1e12
+"""Networks learn in single precision, with the squares of sums of rewards."""
 
 
 class EpisodeError(RuntimeError):
@@ -124,7 +130,7 @@ class EpisodeRows:
             self.step_count, self.steps = self.step_count + living, self.steps + living
             self._actions.append(np.array(actions, np.float32))
             self._forget()
-            _check(living, observation, reward)
+            self._check(living, observation, reward)
         self.observation = np.where(living[:, None], observation, self.observation)
         self.reward = np.where(living, reward, 0.0)
         self.terminated, self.truncated = terminated & living, truncated & living
@@ -170,8 +176,27 @@ class EpisodeRows:
             self.seed[row] = self._starts.seed(row, int(self.episode[row]))
         with self._failures_named():
             observation = self._rows.reset(mask, self.seed)
-            _check(mask, observation, np.zeros(len(mask)))
+            self._check(mask, observation, np.zeros(len(mask)))
         return observation
+
+    def _check(self, mask: Mask, observation: np.ndarray, reward: np.ndarray) -> None:
+        """Require numbers with which scaling and learning can compute."""
+        fine = (np.abs(observation) <= LARGEST_INPUT) & np.isfinite(observation)
+        bad = mask & ~(fine.all(1) & (np.abs(reward) <= LARGEST_REWARD))
+        if not bad.any():
+            return
+        row = int(bad.argmax())
+        if fine[row].all():
+            words = f"reward is {reward[row]}; expected a finite number of at most 1e12; scale it"
+            raise RowError(row, f"{words}, for instance by gymnasium.wrappers.TransformReward")
+        entry = int(fine[row].argmin())
+        name = input_name(self._rows.interface.observation, entry)
+        raise RowError(
+            row,
+            f"{name} is {observation[row, entry]}; expected a finite number within single "
+            "precision (3.4e38); scale or clip it, for instance by "
+            "gymnasium.wrappers.TransformObservation",
+        )
 
     @contextmanager
     def _failures_named(self) -> Iterator[None]:
@@ -183,11 +208,3 @@ class EpisodeRows:
                 f"{self.episode[error.row]} with seed {self.seed[error.row]}, after "
                 f"{self.step_count[error.row]} steps: {error.message}"
             ) from error
-
-
-def _check(mask: Mask, observation: np.ndarray, reward: np.ndarray) -> None:
-    bad = mask & ~(np.isfinite(observation).all(1) & np.isfinite(reward))
-    if bad.any():
-        row = int(bad.argmax())
-        values = f"observation {observation[row].tolist()}, reward {reward[row]}"
-        raise RowError(row, f"expected finite numbers, got {values}")

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import traceback
+import warnings
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import Any, Protocol, Self
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
-from neatq_envs.gymnasium_task import GymnasiumTask, Interface
+from neatq_envs.gymnasium_task import GymnasiumTask, Interface, TaskError
+from neatq_envs.observations import Misfit
 from neatq_envs.processes import Remote
 
 
@@ -30,6 +33,11 @@ Step = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 class EnvRows(Protocol):
     """Environments side by side."""
+
+    @property
+    def interface(self) -> Interface:
+        """How they are read."""
+        ...
 
     def reset(self, mask: Mask, seeds: NDArray[np.int64]) -> np.ndarray:
         """Begin an episode in the rows of a mask; observations [rows, inputs], theirs count."""
@@ -55,44 +63,53 @@ class SingleRows:
     """
 
     def __init__(self, task: GymnasiumTask, interface: Interface, renewed: bool = False) -> None:
-        self._task, self._interface, self._renewed = task, interface, renewed
+        self._task, self.interface, self._renewed = task, interface, renewed
         self._envs: list[gymnasium.Env[Any, Any]] = []
 
     def reset(self, mask: Mask, seeds: NDArray[np.int64]) -> np.ndarray:
         """Begin an episode in the rows of a mask."""
         while len(self._envs) < len(mask):
             self._envs.append(self._task.make())
-        observations = np.zeros((len(mask), self._interface.inputs))
-        for row in np.flatnonzero(mask).tolist():
-            if self._renewed:
-                self._envs[row].close()
-                self._envs[row] = self._task.make()
-            try:
-                observation, _ = self._envs[row].reset(seed=int(seeds[row]))
-                observations[row] = self._interface.read(observation)
-            except Exception as error:
-                _raise_for(row, error)
+        observations = np.zeros((len(mask), self.interface.inputs))
+        with _Failures() as at:
+            for at.row in np.flatnonzero(mask).tolist():
+                row = at.row
+                if self._renewed:
+                    close(self._envs[row])
+                    self._envs[row] = self._task.make()
+                observations[row] = self.interface.read(begin(self._envs[row], int(seeds[row])))
+                self._check_action_space(row)
         return observations
 
     def step(self, mask: Mask, actions: np.ndarray) -> Step:
         """Step the rows of a mask."""
         rows = len(mask)
-        observations, rewards = np.zeros((rows, self._interface.inputs)), np.zeros(rows)
+        observations, rewards = np.zeros((rows, self.interface.inputs)), np.zeros(rows)
         terminated, truncated = np.zeros(rows, bool), np.zeros(rows, bool)
-        own, read, envs = self._interface.act(actions), self._interface.read, self._envs
-        row = 0
-        try:
-            for row in np.flatnonzero(mask).tolist():
-                seen, rewards[row], terminated[row], truncated[row], _ = envs[row].step(own[row])
-                observations[row] = read(seen)
-        except Exception as error:
-            _raise_for(row, error)
+        own, read, envs = self.interface.act(actions), self.interface.read, self._envs
+        with _Failures() as at:
+            for at.row in np.flatnonzero(mask).tolist():
+                row = at.row
+                came: Any = envs[row].step(own[row])
+                if not isinstance(came, tuple) or len(came) != 5:
+                    raise Misfit(_STEP.format(_words(came)))
+                seen, reward, over, cut_off, _ = came
+                observations[row], rewards[row] = read(seen), number(reward, "reward")
+                terminated[row] = number(over, "terminated")
+                truncated[row] = number(cut_off, "truncated")
+                if terminated[row] or truncated[row]:
+                    self._check_action_space(row)
         return observations, rewards, terminated, truncated
 
     def close(self) -> None:
         """Close the environments."""
         for env in self._envs:
-            env.close()
+            close(env)
+
+    def _check_action_space(self, row: int) -> None:
+        now, known = self._envs[row].action_space, self.interface.action
+        if now is not known and now != known:
+            raise Misfit(f"action_space: expected {known} for ever, as it was at first, got {now}")
 
 
 class DealtRows:
@@ -105,6 +122,7 @@ class DealtRows:
     def __init__(
         self, task: GymnasiumTask, interface: Interface, *, renewed: bool, workers: int
     ) -> None:
+        self.interface = interface
         self._remotes = [Remote(SingleRows, task, interface, renewed) for _ in range(workers)]
 
     def reset(self, mask: Mask, seeds: NDArray[np.int64]) -> np.ndarray:
@@ -148,7 +166,7 @@ class VectorRows:
     """The vectorised environment that an id brings; rows that are not meant take a zero action."""
 
     def __init__(self, task: GymnasiumTask, interface: Interface) -> None:
-        self._task, self._interface = task, interface
+        self._task, self.interface = task, interface
         self._env: VectorEnv[Any, Any, Any] | None = None
 
     @staticmethod
@@ -157,17 +175,19 @@ class VectorRows:
 
         None if the id brings no such environment.
         """
-        if task.spec().vector_entry_point is None:
+        plain = isinstance(interface.observation, spaces.Box | spaces.Discrete)
+        plain = plain and isinstance(interface.action, spaces.Box | spaces.Discrete)
+        if not plain or task.spec().vector_entry_point is None:
             return None
         rows = VectorRows(task, interface)
         try:
             env = rows._make(2)
             if env.metadata.get("autoreset_mode") != AutoresetMode.DISABLED:
                 return None
-            seeds: Any = [1, 2]
+            seeds: Any = [1, 2**32 - 1]
             env.reset(seed=seeds)
             env.reset(seed=seeds, options={"reset_mask": np.array([True, False])})
-        except Exception:  # whatever it objects to, single environments will do
+        except (Exception, SystemExit):  # whatever it objects to, single environments will do
             return None
         return rows
 
@@ -181,27 +201,30 @@ class VectorRows:
         options: dict[str, Any] | None = {"reset_mask": mask}
         if self._env is None or self._env.num_envs != len(mask):
             self._env, options = self._make(len(mask)), None
-        observations, _ = self._env.reset(seed=each, options=options)
-        return self._read(observations)
+        with _Failures(int(mask.argmax())):
+            observations, _ = self._env.reset(seed=each, options=options)
+            return self._read(observations, len(mask))
 
     def step(self, mask: Mask, actions: np.ndarray) -> Step:
         """Step all rows."""
         assert self._env is not None
-        own = np.asarray(self._interface.act(np.where(mask[:, None], actions, 0)))
-        observations, rewards, terminated, truncated, _ = self._env.step(own)
-        rewards = np.asarray(rewards, np.float64)
-        return self._read(observations), rewards, np.asarray(terminated), np.asarray(truncated)
+        own = np.stack(self.interface.act(np.where(mask[:, None], actions, 0)))
+        with _Failures(int(mask.argmax())):
+            observations, rewards, terminated, truncated, _ = self._env.step(own)
+            rewards = np.asarray(rewards, np.float64).reshape(len(mask))
+            seen = self._read(observations, len(mask))
+        return seen, rewards, np.asarray(terminated), np.asarray(truncated)
 
     def close(self) -> None:
         """Close the environment."""
         if self._env is not None:
-            self._env.close()
+            close(self._env)
 
-    def _read(self, observations: Any) -> np.ndarray:
-        if isinstance(self._interface.observation, gymnasium.spaces.Discrete):
-            place = np.asarray(observations) - int(self._interface.observation.start)
-            return np.eye(self._interface.inputs)[place]
-        return np.asarray(observations, np.float64).reshape(len(observations), -1)
+    def _read(self, observations: Any, rows: int) -> np.ndarray:
+        if isinstance(self.interface.observation, spaces.Discrete):
+            place = np.asarray(observations) - int(self.interface.observation.start)
+            return np.eye(self.interface.inputs)[place]
+        return np.asarray(observations, np.float64).reshape(rows, self.interface.inputs)
 
 
 def make_rows(
@@ -217,14 +240,86 @@ def make_rows(
     """
     env = task.make()
     interface = Interface.of(env, task.id)
-    env.close()
+    close(env)
     vector = None if renewed else VectorRows.of(task, interface)
     if vector is None and workers > 1:
         return DealtRows(task, interface, renewed=renewed, workers=workers), interface
     return vector or SingleRows(task, interface, renewed), interface
 
 
-def _raise_for(row: int, error: Exception) -> NoReturn:
+_SEEDS_BELOW_2_31 = 2**31 - 1
+_PLAIN = (float, np.bool_)
+_STEP = (
+    "step: expected a tuple of 5 (observation, reward, terminated, truncated, info), got {}; an "
+    "environment of the old Gym, with one done, is wrapped by shimmy.GymV21CompatibilityV0"
+)
+
+
+def begin(env: gymnasium.Env[Any, Any], seed: int) -> Any:
+    """Reset an environment; returns its observation.
+
+    One that fails with a seed of more than 31 bits gets the lower 31 of it.
+
+    Raises:
+        Misfit: If what it returns is no observation and info.
+    """
+    try:
+        came: Any = env.reset(seed=seed)
+    except Exception:
+        if seed <= _SEEDS_BELOW_2_31:
+            raise
+        came = env.reset(seed=seed & _SEEDS_BELOW_2_31)
+    if not isinstance(came, tuple) or len(came) != 2:
+        raise Misfit(f"reset: expected a tuple of 2 (observation, info), got {_words(came)}")
+    return came[0]
+
+
+def number(value: Any, name: str) -> float:
+    """A number that an environment gave, whether as one or as an array of one.
+
+    Raises:
+        Misfit: If it is none.
+    """
+    if isinstance(value, _PLAIN):
+        return float(value)
+    try:
+        return float(np.asarray(value).item())
+    except (TypeError, ValueError, OverflowError) as error:
+        raise Misfit(f"{name}: expected a number, got {value!r}") from error
+
+
+def close(env: Any) -> None:
+    """Close an environment; one that fails then takes nothing with it, and is warned of."""
+    try:
+        env.close()
+    except (Exception, SystemExit) as error:
+        warnings.warn(f"close() of {env}: {type(error).__name__}: {error}", stacklevel=2)
+
+
+def _words(came: Any) -> str:
+    return f"{len(came)} values" if isinstance(came, tuple) else f"a {type(came).__name__}"
+
+
+class _Failures:
+    """Make what the environment of a `row` raises a `RowError`, a `sys.exit` in it, too."""
+
+    def __init__(self, row: int = 0) -> None:
+        self.row = row
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, _: object, error: BaseException | None, where: object) -> None:
+        if isinstance(error, Misfit | TaskError):
+            raise RowError(self.row, str(error)) from error
+        if isinstance(error, Exception | SystemExit):
+            raise RowError(self.row, _said(error)) from error
+
+
+def _said(error: BaseException) -> str:
+    """What an environment raised, and where."""
     where = traceback.extract_tb(error.__traceback__)[-1]
-    place = f"{Path(where.filename).name}:{where.lineno}"
-    raise RowError(row, f"{type(error).__name__}: {error} ({place})") from error
+    if "to unpack (expected 5" in str(error) and "gymnasium" in where.filename:  # a wrapper of its
+        return _STEP.format(str(error).rpartition("got ")[2].rstrip(")") + " values")
+    what = "sys.exit was called" if isinstance(error, SystemExit) else type(error).__name__
+    return f"{what}: {error} ({Path(where.filename).name}:{where.lineno})"

@@ -1,17 +1,17 @@
 """A Gymnasium environment as a task: found by its id, checked, read as numbers.
 
-What networks can read and do is decided here: observations are flat vectors, actions are one of a
-few choices or a point in a box. Everything else is refused with the remedy.
+What networks can read and do is decided here: observations become flat vectors, actions are one of
+a few choices or a point in a box. Everything else is refused with the remedy.
 """
 
 from __future__ import annotations
 
 import difflib
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import gymnasium
@@ -19,9 +19,10 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 
+from neatq_envs.actions import MOST_WHOLE_NUMBERS, ActionPart, action_parts, own_actions
+from neatq_envs.observations import MOST_OBSERVATIONS, flat, flat_size, holds_images
+
 PREFIX = "gym:"
-MOST_OBSERVATIONS = 512
-"""Beyond this, a network that begins with a link from every input has too many to evolve."""
 
 _EXTRAS = ("box2d", "mujoco", "classic-control", "toy-text")
 _REGISTER = "register what you wrapped in a module of yours: --task gym:my_module:MyEnv-v0"
@@ -77,7 +78,7 @@ class GymnasiumTask:
             raise TaskError(f"task: {self.id}: {words}") from error
         except (gymnasium.error.UnregisteredEnv, gymnasium.error.DeprecatedEnv) as error:
             raise TaskError(f"task: {self._unknown(error)}") from error
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             words = f"{type(error).__name__}: {error}; see --env-kwargs"
             with_what = f"{self.id} cannot be made with {dict(self.kwargs)}"
             raise TaskError(f"task: {with_what}: {words}") from error
@@ -110,8 +111,8 @@ class GymnasiumTask:
 class Interface:
     """What a network reads and does in an environment of these spaces."""
 
-    observation: spaces.Box | spaces.Discrete
-    action: spaces.Box | spaces.Discrete
+    observation: spaces.Space[Any]
+    action: spaces.Space[Any]
 
     @staticmethod
     def of(env: Any, name: str) -> Interface:
@@ -123,9 +124,14 @@ class Interface:
     @property
     def inputs(self) -> int:
         """Numbers that a network reads: entries of a Box, or one for each Discrete value."""
-        if isinstance(self.observation, spaces.Discrete):
-            return int(self.observation.n)
-        return math.prod(self.observation.shape)
+        return flat_size(self.observation) or 0
+
+    @property
+    def flat_observation(self) -> spaces.Box | spaces.Discrete:
+        """The space of what `read` gives; a Discrete space stays."""
+        if isinstance(self.observation, spaces.Box | spaces.Discrete):
+            return self.observation
+        return spaces.utils.flatten_space(self.observation)  # type: ignore[return-value]
 
     @property
     def choices(self) -> int | None:
@@ -134,57 +140,90 @@ class Interface:
 
     @property
     def bounds(self) -> tuple[list[float], list[float]]:
-        """Smallest and largest action, flat; of choices, their number from 0."""
+        """Smallest and largest action, flat; of choices, their number from 0.
+
+        Where actions are whole numbers, k is all that is at least k and below k + 1: each of them
+        has an equal share, and the largest bound is one more than the largest number.
+        """
         if isinstance(self.action, spaces.Discrete):
             return [0.0], [float(self.action.n) - 1]
-        low, high = self.action.low, self.action.high
-        return low.astype(float).ravel().tolist(), high.astype(float).ravel().tolist()
+        ends = zip(*((part.low, part.end) for part in self._action_parts), strict=True)
+        low, high = (np.concatenate(end).tolist() for end in ends)
+        return low, high
 
     def read(self, observation: Any) -> np.ndarray:
-        """An observation as numbers, float64 [inputs], before scaling."""
-        if isinstance(self.observation, spaces.Discrete):
-            place = int(observation) - int(self.observation.start)
-            return np.eye(1, self.inputs, place)[0]
-        return np.asarray(observation, np.float64).reshape(-1)
+        """An observation as numbers, float64 [inputs], before scaling.
 
-    def act(self, actions: np.ndarray) -> Any:
+        Raises:
+            Misfit: If it is none of the space.
+        """
+        return flat(self.observation, observation)
+
+    def act(self, actions: np.ndarray) -> list[Any]:
         """The environment's own actions for those of rows [rows, actions], clipped to the bounds.
 
-        A list of numbers, or an array [rows, *shape of the box].
+        One for each row, of the type, shape and dtype that `space.sample()` gives.
         """
-        space = self.action
-        if isinstance(space, spaces.Discrete):
-            return (actions[:, 0].astype(np.int64) + int(space.start)).tolist()
-        own = np.clip(actions.reshape(len(actions), *space.shape), space.low, space.high)
-        return own.astype(space.dtype)
+        if isinstance(self.action, spaces.Discrete):
+            actions = actions.astype(np.float64) + float(self.action.start)
+        return own_actions(self.action, self._action_parts, actions)
+
+    @cached_property
+    def _action_parts(self) -> list[ActionPart]:
+        parts = action_parts(self.action)
+        assert parts is not None  # checked by `of`
+        return parts
 
 
 def _check_observations(space: Any, name: str) -> None:
-    supported = (
-        f"supported are Box of at most {MOST_OBSERVATIONS} numbers and Discrete; wrap it, for "
-        f"instance with gymnasium.wrappers.FlattenObservation, and {_REGISTER}"
-    )
-    size = math.prod(space.shape) if isinstance(space, spaces.Box) else 0
-    if size and len(space.shape) >= 2 and np.dtype(space.dtype) == np.uint8:
-        what = f"images ({space})"
-    elif size > MOST_OBSERVATIONS:
-        what = f"{size} numbers ({space.shape})"
-    elif size or (isinstance(space, spaces.Discrete) and space.n <= MOST_OBSERVATIONS):
-        return
-    else:
-        what = f"{space}, which networks cannot read"
-    raise TaskError(f"task: {name} observes {what}; {supported}")
+    size = flat_size(space)
+    begin = f"task: {name} observes"
+    fewer = f"an observation of at most {MOST_OBSERVATIONS} numbers, and {_REGISTER}"
+    transform = f"gymnasium.wrappers.TransformObservation can make {fewer}"
+    if holds_images(space):
+        small = (size or 0) <= MOST_OBSERVATIONS
+        raise TaskError(
+            f"{begin} images ({space}), which are not for these networks: they begin with a link "
+            "from every number, and know no neighbours. Observe what is to be seen (places, "
+            f"speeds), or let an encoder of yours tell it: {transform}"
+            + ("; if it is no picture: gymnasium.wrappers.FlattenObservation" if small else "")
+        )
+    if size is None or not size:
+        raise TaskError(
+            f"{begin} {space}, which networks cannot read; supported are Box, Discrete, "
+            f"MultiDiscrete, MultiBinary, and Dict and Tuple of them; {transform}"
+        )
+    if size > MOST_OBSERVATIONS:
+        where = f" ({space.shape})" if isinstance(space, spaces.Box) else f" ({space})"
+        raise TaskError(
+            f"{begin} {size} numbers{where}; supported are at most {MOST_OBSERVATIONS}, as a "
+            f"network begins with a link from each; {transform}"
+        )
 
 
 def _check_actions(space: Any, name: str) -> None:
-    if isinstance(space, spaces.Discrete):
-        return
-    supported = "supported are Discrete and Box with finite bounds"
-    if isinstance(space, spaces.Box) and math.prod(space.shape):
-        if np.isfinite(space.low).all() and np.isfinite(space.high).all():
-            return
+    parts = action_parts(space)
+    begin = f"task: {name} has"
+    other = f"gymnasium.wrappers.TransformAction can put another space before it, and {_REGISTER}"
+    if not parts or not all(part.low.size for part in parts):
         raise TaskError(
-            f"task: {name} has actions without bounds ({space}); {supported}: give it bounds with "
-            "gymnasium.wrappers.TransformAction, and register what you wrapped"
+            f"{begin} the actions {space}; supported are Discrete, Box with finite bounds, "
+            f"MultiDiscrete, MultiBinary, and Dict and Tuple of them; {other}"
         )
-    raise TaskError(f"task: {name} has the actions {space}; {supported}; wrap it, and {_REGISTER}")
+    low, high = (np.concatenate([getattr(part, end) for part in parts]) for end in ("low", "high"))
+    with np.errstate(all="ignore"):
+        spans = high.astype(np.float32) - low.astype(np.float32)
+    if not np.isfinite(spans).all():
+        raise TaskError(
+            f"{begin} actions without bounds ({space}); supported are finite ones; {other}"
+        )
+    if any(part.whole and (part.high - part.low >= MOST_WHOLE_NUMBERS).any() for part in parts):
+        raise TaskError(
+            f"{begin} actions of more than {MOST_WHOLE_NUMBERS} whole numbers ({space}), which "
+            f"single precision cannot tell apart; {other}"
+        )
+    if (low == high).all():
+        raise TaskError(
+            f"{begin} one action only ({space}): there is nothing to choose, so nothing that "
+            "evolution or learning could find; give it another action space"
+        )

@@ -117,7 +117,7 @@ def look_around(task: GymnasiumTask, discount: float) -> EnvFacts:
         rows, interface = make_rows(task, renewed=True)
     taken = np.arange(len(seen.rewards))[:, None] < seen.lengths
     return EnvFacts(
-        scaling=ObservationScaling.fit(interface.observation, seen.observations[taken]),
+        scaling=ObservationScaling.fit(interface.flat_observation, seen.observations[taken]),
         value_range=value_range(seen, discount, limit or int(seen.lengths.max())),
         renewed=renewed,
         repeatable=not renewed or _repeats(task, rows, interface, seen),

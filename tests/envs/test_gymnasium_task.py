@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import json
 import re
 from typing import Any
@@ -79,15 +78,11 @@ def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("arguments", "pattern"),
     [
-        (["observes=dict"], r"observes Dict.*cannot read.*Box.*FlattenObservation.*my_module:"),
-        (["observes=tuple"], r"observes Tuple"),
-        (["observes=text"], r"observes Text"),
-        (["observes=many"], r"observes MultiDiscrete"),
+        (["observes=text"], r"observes Text.*cannot read.*Box.*TransformObservation.*my_module:"),
         (["observes=image"], r"observes images \(Box\(0, 255, \(8, 8, 3\), uint8\)\)"),
         (["observes=huge"], r"observes 10000 numbers \(\(100, 100\)\); .* at most 512"),
         (["acts=endless box"], r"actions without bounds.*TransformAction"),
-        (["acts=many"], r"has the actions MultiDiscrete.*Discrete and Box"),
-        (["acts=binary"], r"has the actions MultiBinary"),
+        (["acts=text"], r"has the actions Text.*Discrete, Box.*TransformAction.*my_module:"),
     ],
 )
 def test_spaces_that_networks_cannot_use_are_named(
@@ -105,11 +100,11 @@ def test_observations_and_actions_are_numbers(toy: str) -> None:
     assert interface.read(6).tolist() == [0, 1, 0]  # the choices are 5, 6 and 7
     assert interface.bounds == ([-1.0] * 6, [1.0] * 6)
     own = interface.act(np.array([[0.5, 2, 3, 4, 5, -6]], np.float32))
-    assert own.dtype == np.float32
-    assert own.tolist() == [[[0.5, 1, 1], [1, 1, -1]]]
-    choice = Interface(env.observation_space, env.observation_space)  # type: ignore[arg-type]
+    assert own[0].dtype == np.float32
+    assert own[0].tolist() == [[0.5, 1, 1], [1, 1, -1]]
+    choice = Interface(env.observation_space, env.observation_space)
     assert choice.act(np.array([[0.0], [2.0]])) == [5, 7]
-    assert all(type(action) is builtins.int for action in choice.act(np.array([[1.0]])))
+    assert all(type(action) is np.int64 for action in choice.act(np.array([[1.0]])))
 
 
 def test_sane_bounds_scale_and_other_entries_are_standardised() -> None:

@@ -43,8 +43,7 @@ def run_command(command: Callable[[list[str]], None], arguments: list[str]) -> i
     except (ConfigError, TaskError, ScenarioError, CheckpointError, GenomeError) as error:
         return _fail(str(error))
     except EpisodeError as error:
-        _fail(str(error))
-        return 1
+        return _fail(str(error))
     except BrokenPipeError:  # whoever read the output has read enough
         return 0
     except OSError as error:

@@ -71,29 +71,29 @@ class ChampionPolicy(nn.Module):
                 shape [*batch, *observation].
 
         Returns:
-            A tensor for a tensor, else what the environment takes: the action [*batch, *action].
+            A tensor for a tensor, else what the environment takes, of the type that its
+            `action_space.sample()` gives: the action [*batch, *action].
         """
-        seen = self._read(torch.as_tensor(observation))
+        seen = self._read(observation)
         if self._state is None or self._state.shape[:-1] != seen.shape[:-1]:
             self._state = self.network.initial_state(seen.shape[:-1])
             self._previous = torch.zeros_like(seen)
         output, self._state = self.network.step(seen, self._state)
         if self._twice and self._previous is not None:
             self._state, self._previous = self.network.step(self._previous, self._state)[1], seen
-        action = self._act(self.heads.best(output))
-        if isinstance(observation, Tensor):
-            return action
-        return action.item() if not action.ndim else action.cpu().numpy()
+        return self._act(self.heads.best(output), isinstance(observation, Tensor))
 
-    def _read(self, observation: Tensor) -> Tensor:
+    def _read(self, observation: Any) -> Tensor:
         """Scaled observations [*batch, inputs]."""
         weight = self.network.weight
-        observation = observation.to(weight.device)
         space = None if self.interface is None else self.interface.observation
+        if self.interface and not isinstance(space, spaces.Box | spaces.Discrete):
+            observation, space = self.interface.read(observation), None  # no batch of them
+        observation = torch.as_tensor(observation).to(weight.device)
         if isinstance(space, spaces.Discrete):
             number = observation.long() - int(space.start)
             observation = nn.functional.one_hot(number, self.network.inputs)
-        elif space is not None and len(space.shape) != 1:
+        elif isinstance(space, spaces.Box) and len(space.shape) != 1:
             batch = observation.shape[: observation.ndim - len(space.shape)]
             observation = observation.reshape(*batch, -1)
         seen = observation.double()
@@ -102,16 +102,16 @@ class ChampionPolicy(nn.Module):
             seen = ((seen - offset) / scale).clamp(-LARGEST, LARGEST)
         return seen.to(weight.dtype)
 
-    def _act(self, action: Tensor) -> Tensor:
+    def _act(self, action: Tensor, as_tensor: bool) -> Any:
         """The environment's own actions for [*batch, A]."""
-        space = None if self.interface is None else self.interface.action
-        if space is None:
-            return action
-        if isinstance(space, spaces.Discrete):
-            return action[..., 0].long() + int(space.start)
-        low, high = (torch.from_numpy(np.array(b)).to(action) for b in (space.low, space.high))
-        own = action.reshape(*action.shape[:-1], *space.shape).clamp(low, high)
-        return own.to(torch.from_numpy(np.zeros(0, space.dtype)).dtype)
+        own: Any = action.cpu().numpy()
+        if self.interface is not None:
+            batch, space = action.shape[:-1], self.interface.action
+            own = self.interface.act(own.reshape(-1, action.shape[-1]))
+            if isinstance(space, spaces.Dict | spaces.Tuple):
+                return own if batch else own[0]
+            own = np.stack(own).reshape(*batch, *(space.shape or ())) if batch else own[0]
+        return torch.as_tensor(own, device=action.device) if as_tensor else own
 
 
 class TablePolicy(nn.Module):
