@@ -218,6 +218,16 @@ class Arena:
                 rng.bit_generator.state = stored
         self._physics.rebuild(np.array(state["place"]), np.array(state["velocity"]))
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What copies and pickles hold; see `rebuild`, which is why the original rebuilds, too."""
+        self.rebuild()
+        return self.world_state()
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Be an arena that goes on, bit for bit, like the one that was copied."""
+        self.__init__(Scenario.from_dict(state["scenario"]), state["seeds"])
+        self.load_world_state(state)
+
     def _sense(self, ahead: np.ndarray, ignore: np.ndarray | None = None) -> np.ndarray:
         flag, second = self._flags.sensed
         return self._senses.sense(self.position, ahead, flag, ignore, second)

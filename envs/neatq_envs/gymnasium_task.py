@@ -18,6 +18,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
+from gymnasium.spaces.utils import flatten_space
 
 from neatq_envs.actions import MOST_WHOLE_NUMBERS, ActionPart, action_parts, own_actions
 from neatq_envs.observations import MOST_OBSERVATIONS, flat, flat_size, holds_images
@@ -131,7 +132,7 @@ class Interface:
         """The space of what `read` gives; a Discrete space stays."""
         if isinstance(self.observation, spaces.Box | spaces.Discrete):
             return self.observation
-        return spaces.utils.flatten_space(self.observation)  # type: ignore[return-value]
+        return flatten_space(self.observation)  # type: ignore[return-value]
 
     @property
     def choices(self) -> int | None:

@@ -76,12 +76,14 @@ def _parts(space: spaces.Dict | spaces.Tuple) -> list[tuple[Any, Any]]:
 
 def _numbers(space: Any, value: Any, name: str) -> Iterator[np.ndarray]:
     if isinstance(space, spaces.Dict | spaces.Tuple):
-        parts = _parts(space)
-        kind, expected = (Mapping, "keys") if isinstance(space, spaces.Dict) else (tuple, "parts")
-        own = value.keys() if isinstance(value, Mapping) else range(len(np.atleast_1d(value)))
-        if not isinstance(value, kind) or {*own} != {key for key, _ in parts}:
+        parts, given = _parts(space), ()
+        if isinstance(space, spaces.Dict) and isinstance(value, Mapping):
+            given = value.keys()
+        elif isinstance(space, spaces.Tuple) and isinstance(value, tuple | list):
+            given = range(len(value))
+        if {*given} != {key for key, _ in parts}:
             keys = [key for key, _ in parts]
-            raise Misfit(f"{name}: expected the {expected} {keys} of its space, got {value!r}")
+            raise Misfit(f"{name}: expected the parts {keys} of its space, got {value!r}")
         for key, part in parts:
             yield from _numbers(part, value[key], f"{name}[{key!r}]")
     elif isinstance(space, spaces.Discrete):
