@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -118,7 +119,8 @@ def draw_paths(
     axes.plot(*flag, color=FLAG, mec="black", label="flag", **star)
     for place in _idle_flags(scenario, flag):
         axes.plot(*place, mfc="white", mec=FLAG, label="flag that does not count", **star)
-    axes.set_title(f'Last life of {poses.shape[1]} robots, task "{scenario.name}"')
+    title = f'Last life of {poses.shape[1]} robots, task "{scenario.name}"'
+    plain_title(axes, title)
     below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "frameon": False}
     axes.legend(ncols=3, fontsize=9, **below)
     return figure
@@ -177,3 +179,9 @@ def _walls(scenario: Scenario) -> list[list[tuple[float, float]]]:
         turned = [(cosine * u - sine * v, sine * u + cosine * v) for u, v in sides]
         corners.append([(wall.x + x, wall.y + y) for x, y in turned])
     return corners
+
+
+def plain_title(axes: Axes, text: str, **font: Any) -> None:
+    """Set a title that holds a user's name as it is: no formula, and a sign for what is no text."""
+    text = text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+    axes.set_title(text, parse_math=False, **font)

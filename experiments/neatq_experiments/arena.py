@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
+from neatq_envs.render import plain_title
 from neatq_experiments.experiment import Experiment
 from neatq_experiments.published import PAPER_NAMES, published_curves
 from neatq_experiments.seeds import Result, Results, SeedTask, run_seeds
@@ -131,7 +132,7 @@ def draw_arms(results: Results) -> Figure:
         axes.plot(ticks, curve.mean(0), color="tab:green", label=f"mean, range of {len(curve)}")
         paper = published[task, PAPER_NAMES[arm]]
         axes.plot(paper[:, 0], paper[:, 1], color="black", lw=0.8, label="published run")
-        axes.set_title(f"{task}: {arm}")
+        plain_title(axes, f"{task}: {arm}")
         axes.set_ylim(bottom=0)
         axes.grid(alpha=0.3)
     for axes in panels[:, 0]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import io
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -38,6 +39,9 @@ def run_command(command: Callable[[list[str]], None], arguments: list[str]) -> i
     """Run a command; returns the exit status of the process."""
     torch.set_num_threads(1)  # small tensors: a second thread only gets in the way
     gc.freeze()  # the garbage collector need not look through torch again and again
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that knows no ± gets a ?
     try:
         command(arguments)
     except (ConfigError, TaskError, ScenarioError, CheckpointError, GenomeError) as error:

@@ -106,7 +106,9 @@ def _draw_nodes(axes: Axes, genome: Genome, points: np.ndarray, names: Sequence[
         size, fill = 15 if kind == NodeKind.HIDDEN else 9, FILL[NodeKind(kind)]
         axes.plot(x, y, "o", ms=size, color=fill, gid=f"node {node}", **style)
         if kind == NodeKind.HIDDEN:
-            axes.text(x, y, name, ha="center", va="center", fontsize=6.5, zorder=5)
+            axes.text(
+                x, y, name, ha="center", va="center", fontsize=6.5, zorder=5, parse_math=False
+            )
         else:
             side, offset = ("left", 9) if kind == NodeKind.OUTPUT else ("right", -9)
             axes.annotate(name, (x, y), (offset, 0), ha=side, **beside)

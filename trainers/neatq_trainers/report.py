@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 import torch
 from matplotlib.axes import Axes
@@ -15,9 +15,10 @@ from PIL import Image
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from neatq_envs.episodes import TEST, episode_seeds
-from neatq_envs.gymnasium_task import TaskError
+from neatq_envs.gymnasium_rows import begin, close
+from neatq_envs.gymnasium_task import GymnasiumTask, TaskError
 from neatq_envs.random_play import EnvFacts
-from neatq_envs.render import animation, draw_paths, frame
+from neatq_envs.render import animation, draw_paths, frame, plain_title
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.build import build
 from neatq_trainers.folder import (
@@ -128,7 +129,8 @@ def draw_curves(metrics: Columns, title: str, *, one_by_one: bool = True) -> Fig
         f"figure tick ({ROW_TICKS} simulation ticks)" if distances else "episodes lived in an arena"
     )
     axes.set_ylabel("distance to the flag (units)" if distances else "return of an episode")
-    axes.set_title(title if arenas == 1 else f"{title}: mean and range of {arenas} arenas")
+    title = title if arenas == 1 else f"{title}: mean and range of {arenas} arenas"
+    plain_title(axes, title)
     axes.set_xlim(0, when.max() * (1 if distances else 1.02))  # so that the last step is seen
     if distances:
         axes.set_ylim(bottom=0)
@@ -222,31 +224,41 @@ def film(folder: RunFolder, policy: ChampionPolicy) -> list[np.ndarray]:
     None of them if the environment draws nothing.
 
     Raises:
-        TaskError: If something is missing that it needs to draw.
+        TaskError: If it cannot be made, played or drawn; the message says why.
     """
     world, result = folder.config.world, folder.result()
     if not isinstance(world, GymnasiumConfig) or result is None:
         return []
-    plain = world.task.make()
-    modes = plain.metadata.get("render_modes") or ()
-    plain.close()
-    if "rgb_array" not in modes:
-        return []
     seed = int(episode_seeds(result["champion"]["seed"], 0, 1, purpose=TEST)[0])
-    env = world.task.make(render_mode="rgb_array")
-    frames = []
+    try:
+        frames = [*_frames(world.task, policy, seed)]
+    except TaskError:
+        raise
+    except (Exception, SystemExit) as error:  # whatever it objects to, the run is over
+        raise TaskError(f"left out: {type(error).__name__}: {error}") from error
+    return frames[:: math.ceil(len(frames) / MOST_FRAMES)] if frames else []
+
+
+def _frames(task: GymnasiumTask, policy: ChampionPolicy, seed: int) -> Iterator[np.ndarray]:
+    """The pictures of an episode, one for each step; none if the environment draws nothing."""
+    plain = task.make()
+    modes = plain.metadata.get("render_modes") or ()
+    close(plain)
+    if "rgb_array" not in modes:
+        return
+    env = task.make(render_mode="rgb_array")
     try:
         policy.reset()
-        observation, _ = env.reset(seed=seed)
-        done = False
+        observation, done = begin(env, seed), False
         while not done:
-            picture = Image.fromarray(np.asarray(env.render()))
+            drawn = env.render()
+            if not isinstance(drawn, np.ndarray):
+                words = f"expected a picture [height, width, 3], got a {type(drawn).__name__}"
+                raise TaskError(f"left out: render(): {words}")
+            picture = Image.fromarray(drawn)
             picture.thumbnail((WIDEST, WIDEST))
-            frames.append(np.asarray(picture))
+            yield np.asarray(picture)
             observation, _, terminated, truncated, _ = env.step(policy(observation))
             done = terminated or truncated
-    except gymnasium.error.DependencyNotInstalled as error:
-        raise TaskError(f"left out: {error}") from error
     finally:
-        env.close()
-    return frames[:: math.ceil(len(frames) / MOST_FRAMES)]
+        close(env)

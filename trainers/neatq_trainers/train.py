@@ -136,7 +136,8 @@ def start(
     """Make a run folder and train in it from the beginning; see `train`."""
     path = default_folder(config) if out is None else Path(out)
     count = _checked(workers, config)
-    facts = facts_of(config.world, getattr(config.learner, "discount", 0.99))
+    discount = getattr(config.learner, "discount", 0.99)
+    facts = facts_of(config.world, discount, apart=count > 1)
     parts = config.split(min(count, config.arenas))
     everybody = [kind() for kind in BUILT_IN] + list(callbacks)
     with open_workers(parts, [None] * len(parts), facts, everybody, count) as team:

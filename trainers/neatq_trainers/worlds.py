@@ -11,15 +11,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
+import gymnasium
 import numpy as np
 import torch
 import tyro
 from torchrl.data import Bounded
 from torchrl.envs import EnvBase
 
-from neatq_envs.episodes import EpisodeRows, Starts
+from neatq_envs.episodes import EpisodeError, EpisodeRows, Starts
 from neatq_envs.gymnasium_rows import make_rows
-from neatq_envs.gymnasium_task import PREFIX, GymnasiumTask
+from neatq_envs.gymnasium_task import PREFIX, GymnasiumTask, TaskError
+from neatq_envs.processes import Remote
 from neatq_envs.random_play import EnvFacts, look_around
 from neatq_envs.scenario import TASKS, Scenario
 from neatq_envs.sensors import schema_of
@@ -383,14 +385,40 @@ def make_world(
     return GymnasiumWorld(config, seeds, facts, episodes, workers)
 
 
-def facts_of(config: WorldConfig, discount: float) -> EnvFacts | None:
+def facts_of(config: WorldConfig, discount: float, *, apart: bool = False) -> EnvFacts | None:
     """What must be known of a Gymnasium task before a run; None of other worlds.
 
+    Args:
+        config: The world.
+        discount: Of the returns.
+        apart: Play in a process of its own, so that an environment which ends its process does not
+            end the program.
+
     Raises:
-        TaskError: If the environment cannot be used, or its episodes do not end.
+        TaskError: If the environment cannot be used, its episodes do not end, or its process does.
         EpisodeError: If it fails.
     """
-    return look_around(config.task, discount) if isinstance(config, GymnasiumConfig) else None
+    if not isinstance(config, GymnasiumConfig):
+        return None
+    if not apart:
+        return look_around(config.task, discount)
+    remote = Remote(look_around, config.task, discount)
+    try:
+        remote.ask("to_dict")
+        return EnvFacts.from_dict(remote.answer())
+    except TaskError as error:
+        if "knows no" in str(error) and config.id in gymnasium.registry:
+            raise TaskError(
+                f"task: {config.id} is registered in this program, where other processes do not "
+                "find it; register it in a module of yours (gym:my_module:ID), or take one worker"
+            ) from error
+        raise
+    except EpisodeError:
+        raise
+    except RuntimeError as error:
+        raise TaskError(f"task: random play in {config.id} did not survive: {error}") from error
+    finally:
+        remote.close()
 
 
 world_kinds.register("arena", ArenaConfig, ArenaWorld)

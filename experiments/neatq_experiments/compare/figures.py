@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from neatq_envs.render import plain_title
 from neatq_experiments.compare.report import paired_differences, reference_of
 from neatq_experiments.compare.statistics import band, mean_estimate, mean_of_known
 from neatq_experiments.compare.tables import POINT_TICKS, Curves, Study
@@ -54,7 +55,7 @@ def draw_task(study: Study, task: str, behind: Behind | None = None) -> Figure:
     figure = Figure(figsize=(8.5, 5), layout="constrained")
     axes = figure.add_subplot()
     _draw_mean_distance(axes, study, task, behind)
-    axes.set_title(f"Task {task}: how far the team is from the flag")
+    plain_title(axes, f"Task {task}: how far the team is from the flag")
     legend_beside(figure, *axes.get_legend_handles_labels())
     return figure
 
@@ -66,7 +67,7 @@ def draw_overview(study: Study, behind: Behind | None = None) -> Figure:
     handles: dict[str, Artist] = {}
     for axes, task in zip(row, study.tasks, strict=True):
         _draw_mean_distance(axes, study, task, behind)
-        axes.set_title(task)
+        plain_title(axes, task)
         lines, labels = axes.get_legend_handles_labels()
         handles |= dict(zip(labels, lines, strict=True))
     for axes in row[1:]:
@@ -100,7 +101,7 @@ def draw_differences(study: Study) -> Figure:
         for row, arm in enumerate(arms):
             _draw_difference(axes, study, task, (reference, arm), row)
         axes.axvline(0, color="0.4", lw=0.8)
-        axes.set_title(task, fontsize=10)
+        plain_title(axes, task, fontsize=10)
         axes.grid(alpha=0.3, axis="x")
         axes.margins(x=0.1)
     panels[0].set_yticks(range(len(arms)), arms)
@@ -138,7 +139,7 @@ def draw_halves(study: Study) -> Figure | None:
         for axes, (column, title) in zip(row, HALVES.items(), strict=True):
             for arm in _evolving(study, task):
                 _draw_arm(axes, study.curves(task, arm, column), colours_of(study.arms())[arm], arm)
-            axes.set_title(f"{task}: {title}", fontsize=10)
+            plain_title(axes, f"{task}: {title}", fontsize=10)
         for axes in row:  # both panels of a row share their axes: not before both have lines
             _frame(axes, study, task)
         row[0].set_ylabel("mean distance\nto the flag (units)")

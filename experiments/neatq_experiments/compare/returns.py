@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from neatq_envs.render import plain_title
 from neatq_experiments.compare import statistics
 from neatq_experiments.compare.cells import Cell, digest, file_name
 from neatq_experiments.compare.figures import colours_of, legend_beside
@@ -249,7 +250,7 @@ def draw_returns(returns: Returns, task: str) -> Figure:
         axes.fill_between(moments, low, high, color=colours[arm], alpha=0.2, lw=0)
     axes.set_xlabel("steps of the environment")
     axes.set_ylabel("return of the champion")
-    axes.set_title(f"Task {task}: what the champion reaches")
+    plain_title(axes, f"Task {task}: what the champion reaches")
     axes.set_xlim(left=0)
     axes.grid(alpha=0.3)
     legend_beside(figure, *axes.get_legend_handles_labels(), line="mean over seeds")
