@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import sys
 from typing import Any
@@ -49,8 +50,8 @@ class Plain(gymnasium.Env[Any, Any]):
     """
 
     def __init__(self, acts: str = "bits", observes: str = "box") -> None:
-        self.action_space, self.observation_space = ACTIONS[acts], OBSERVATIONS[observes]
-        self.metadata = {"render_modes": []}
+        own = copy.deepcopy((ACTIONS[acts], OBSERVATIONS[observes]))  # each draws by itself
+        self.action_space, self.observation_space = own
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         super().reset(seed=seed)
@@ -90,6 +91,7 @@ class Strange(gymnasium.Env[Any, Any]):
     """
 
     resets = 0
+    metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012
     observation_space = spaces.Box(-np.inf, np.inf, (2,))
     action_space: spaces.Space[Any] = spaces.Box(-1, 1, (1,))
 
@@ -97,7 +99,6 @@ class Strange(gymnasium.Env[Any, Any]):
         self, how: str = "", when: int = 2, after: int = 0, render_mode: str | None = None
     ) -> None:
         self.how, self.when, self.after, self.render_mode = how, when, after, render_mode
-        self.metadata = {"render_modes": ["rgb_array"]}
         if how == "exit when made":
             sys.exit(4)
 
@@ -129,7 +130,7 @@ class Strange(gymnasium.Env[Any, Any]):
             return seen, reward, over, {}
         if self.how == "another action space":
             self.action_space, over = spaces.Discrete(2), True
-        rewards: dict[str, Any] = {"array": np.array([reward]), "1e300": 1e300, "1e308": -1e308}
+        rewards: dict[str, Any] = {"array": np.array([reward]), "large": 1e300, "vast": -1e308}
         rewards |= {"nan": np.nan, "none": None, "two": np.ones(2), "text": "much"}
         return self._seen(seen), rewards.get(self.how, reward), over, False, {}
 

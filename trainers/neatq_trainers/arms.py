@@ -19,7 +19,7 @@ from neatq_torch.learning import (
     TraceConfig,
     learner_kinds,
 )
-from neatq_trainers.config import NetworkConfig, RunConfig
+from neatq_trainers.config import LIFE_TICKS, NetworkConfig, RunConfig
 from neatq_trainers.worlds import (
     ArenaConfig,
     EnvConfig,
@@ -213,7 +213,7 @@ def _with_kinds(config: RunConfig, population: str | None, learner: str | None) 
     if population is not None:
         parts["population"] = population_kinds.config(population)()
         if isinstance(config.world, ArenaConfig):
-            life = config.world.scenario.lifetime_ticks or 1000
+            life = config.world.scenario.lifetime_ticks or LIFE_TICKS
             parts["population"] = _having(parts["population"], minimum_life_ticks=life)
         else:
             parts["population"] = _having(parts["population"], minimum_life_episodes=2)
@@ -240,7 +240,7 @@ def _population(arm: Arm, world: WorldConfig) -> Any:
     if not isinstance(world, ArenaConfig):
         return arm.population
     if isinstance(arm.population, RtNEATConfig):
-        life = world.scenario.lifetime_ticks or 1000
+        life = world.scenario.lifetime_ticks or LIFE_TICKS
         return replace(arm.population, minimum_life_ticks=life)
     return arm.population and replace(arm.population, episodes=1)
 

@@ -32,6 +32,8 @@ LENGTHS: tuple[Length, ...] = get_args(Length)
 BATCH_TICKS = 40
 """Most ticks of a batch in an arena: evolution replaces robots between batches."""
 EPISODIC_BATCH_TICKS = 20
+LIFE_TICKS = 1000
+"""What counts as a life where lives have no end."""
 STRIDE_TICKS = 40
 """Least ticks between two rebuilds of the physics, which cost as much as a few ticks."""
 
@@ -217,7 +219,9 @@ class RunConfig:
 
         Args:
             changes: New values, by dotted path in `to_dict`: {"learner.epsilon": 0.05}. Another
-                "learner.kind" keeps the values of the settings that both kinds have.
+                "learner.kind" keeps the values of the settings that both kinds have. The age at
+                which genomes are judged moves with "world.scenario.lifetime_ticks", as long as it
+                is one life.
 
         Raises:
             ConfigError: If there is no such path, or a value is impossible.
@@ -238,6 +242,12 @@ class RunConfig:
                 own = msgspec.to_builtins(_KINDS[parents[0]].config(value)())
                 shared = {key: one for key, one in part.items() if key in own}
                 values[parents[0]] = {"kind": value, **own, **shared}
+        life, judged = "world.scenario.lifetime_ticks", "population.minimum_life_ticks"
+        own = values["population"] or {}
+        if life in changes and judged not in changes and isinstance(self.world, ArenaConfig):
+            before = self.world.scenario.lifetime_ticks or LIFE_TICKS
+            if own.get("minimum_life_ticks") == before:
+                own["minimum_life_ticks"] = changes[life] or LIFE_TICKS
         return RunConfig.from_dict(values)
 
     def to_dict(self) -> dict[str, Any]:
