@@ -195,7 +195,7 @@ def test_bad_input_is_answered_in_one_line(neatq: Say, arguments: list[str], pat
         ),
         (
             ["--population.reproduction.mutation.weight-replace-prob", "0.2"],
-            "population.reproduction.mutation.weight_replace_prob: .* uniform",
+            "population.reproduction.mutation.weight_replace_prob: .* weight_scheme is opennero",
         ),
     ],
 )
