@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from neatq_envs.gymnasium_task import GymnasiumTask, Interface, TaskError
-from neatq_envs.observations import Misfit
+from neatq_envs.observations import Misfit, raised_by_environment
 from neatq_envs.processes import Remote
 
 
@@ -187,8 +187,10 @@ class VectorRows:
             seeds: Any = [1, 2**32 - 1]
             env.reset(seed=seeds)
             env.reset(seed=seeds, options={"reset_mask": np.array([True, False])})
-        except (Exception, SystemExit):  # whatever it objects to, single environments will do
-            return None
+        except BaseException as error:
+            if raised_by_environment(error):  # whatever it objects to, single ones will do
+                return None
+            raise
         return rows
 
     def _make(self, rows: int) -> VectorEnv[Any, Any, Any]:
@@ -248,7 +250,7 @@ def make_rows(
 
 
 _SEEDS_BELOW_2_31 = 2**31 - 1
-_PLAIN = (float, np.bool_)
+_PLAIN = (float, bool, np.bool_)
 _STEP = (
     "step: expected a tuple of 5 (observation, reward, terminated, truncated, info), got {}; an "
     "environment of the old Gym, with one done, is wrapped by shimmy.GymV21CompatibilityV0"
@@ -292,7 +294,9 @@ def close(env: Any) -> None:
     """Close an environment; one that fails then takes nothing with it, and is warned of."""
     try:
         env.close()
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
+        if not raised_by_environment(error):
+            raise
         warnings.warn(f"close() of {env}: {type(error).__name__}: {error}", stacklevel=2)
 
 
@@ -312,7 +316,7 @@ class _Failures:
     def __exit__(self, _: object, error: BaseException | None, where: object) -> None:
         if isinstance(error, Misfit | TaskError):
             raise RowError(self.row, str(error)) from error
-        if isinstance(error, Exception | SystemExit):
+        if error is not None and raised_by_environment(error):
             raise RowError(self.row, _said(error)) from error
 
 

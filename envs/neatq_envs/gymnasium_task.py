@@ -21,7 +21,13 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces.utils import flatten_space
 
 from neatq_envs.actions import MOST_WHOLE_NUMBERS, ActionPart, action_parts, own_actions
-from neatq_envs.observations import MOST_OBSERVATIONS, flat, flat_size, holds_images
+from neatq_envs.observations import (
+    MOST_OBSERVATIONS,
+    flat,
+    flat_size,
+    holds_images,
+    raised_by_environment,
+)
 
 PREFIX = "gym:"
 
@@ -79,7 +85,9 @@ class GymnasiumTask:
             raise TaskError(f"task: {self.id}: {words}") from error
         except (gymnasium.error.UnregisteredEnv, gymnasium.error.DeprecatedEnv) as error:
             raise TaskError(f"task: {self._unknown(error)}") from error
-        except (Exception, SystemExit) as error:
+        except BaseException as error:
+            if not raised_by_environment(error):
+                raise
             words = f"{type(error).__name__}: {error}; see --env-kwargs"
             with_what = f"{self.id} cannot be made with {dict(self.kwargs)}"
             raise TaskError(f"task: {with_what}: {words}") from error

@@ -17,6 +17,14 @@ class Misfit(ValueError):
     """What an environment gave does not fit its spaces; the message says how."""
 
 
+def raised_by_environment(error: BaseException) -> bool:
+    """Whether an environment failed: its sys.exit must not end a run, Ctrl-C and signals do.
+
+    What a handler of signals raises to end the program is a class of its own.
+    """
+    return isinstance(error, Exception) or type(error) is SystemExit
+
+
 def flat_size(space: Any) -> int | None:
     """Numbers of an observation of a space, as `gymnasium.wrappers.FlattenObservation` counts them.
 

@@ -243,3 +243,20 @@ def test_the_action_space_is_compared_where_episodes_begin_and_end() -> None:
     rows._envs[0].unwrapped.action_space = spaces.Discrete(2)
     with pytest.raises(RowError, match="action_space: expected"):
         rows.reset(np.ones(1, bool), np.ones(1, np.int64))
+
+
+@pytest.mark.parametrize("when", [0, 2])
+def test_what_ends_the_program_is_no_failure_of_the_environment(
+    when: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Terminated(SystemExit):
+        """What a handler of signals raises."""
+
+    def end(_: object) -> None:
+        raise Terminated(143)
+
+    monkeypatch.setattr(sys, "exit", end)
+    with pytest.raises(Terminated):
+        look_around(strange("exit", when=when), 0.9)
+    with pytest.raises(Terminated):
+        look_around(strange("exit when made"), 0.9)

@@ -17,6 +17,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from neatq_envs.episodes import TEST, episode_seeds
 from neatq_envs.gymnasium_rows import begin, close
 from neatq_envs.gymnasium_task import GymnasiumTask, TaskError
+from neatq_envs.observations import raised_by_environment
 from neatq_envs.random_play import EnvFacts
 from neatq_envs.render import animation, draw_paths, frame, plain_title
 from neatq_torch.atomic import write_atomic
@@ -232,9 +233,9 @@ def film(folder: RunFolder, policy: ChampionPolicy) -> list[np.ndarray]:
     seed = int(episode_seeds(result["champion"]["seed"], 0, 1, purpose=TEST)[0])
     try:
         frames = [*_frames(world.task, policy, seed)]
-    except TaskError:
-        raise
-    except (Exception, SystemExit) as error:  # whatever it objects to, the run is over
+    except BaseException as error:  # whatever it objects to, the run is over
+        if isinstance(error, TaskError) or not raised_by_environment(error):
+            raise
         raise TaskError(f"left out: {type(error).__name__}: {error}") from error
     return frames[:: math.ceil(len(frames) / MOST_FRAMES)] if frames else []
 
