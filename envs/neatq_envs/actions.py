@@ -69,7 +69,7 @@ def own_actions(space: Any, parts: list[ActionPart], points: np.ndarray) -> list
     for part in parts:
         columns.append(part.own(points[:, first : first + part.low.size]))
         first += part.low.size
-    return [_row(space, iter(columns), row) for row in range(len(points))]
+    return [_assembled(space, iter(columns), row) for row in range(len(points))]
 
 
 def _inner(space: spaces.Dict | spaces.Tuple) -> list[Any]:
@@ -88,10 +88,10 @@ def _limits(space: Any) -> tuple[Any, Any] | None:
     return None
 
 
-def _row(space: Any, columns: Iterator[np.ndarray], row: int) -> Any:
+def _assembled(space: Any, columns: Iterator[np.ndarray], row: int) -> Any:
     if isinstance(space, spaces.Dict):
-        return {key: _row(part, columns, row) for key, part in space.spaces.items()}
+        return {key: _assembled(part, columns, row) for key, part in space.spaces.items()}
     if isinstance(space, spaces.Tuple):
-        return tuple(_row(part, columns, row) for part in space.spaces)
+        return tuple(_assembled(part, columns, row) for part in space.spaces)
     column = next(columns)
     return column[row] if isinstance(space, spaces.Discrete) else column[row, ...]

@@ -92,7 +92,7 @@ class SingleRows:
                 row = at.row
                 came: Any = envs[row].step(own[row])
                 if not isinstance(came, tuple) or len(came) != 5:
-                    raise Misfit(_STEP.format(_words(came)))
+                    raise Misfit(_STEP_WORDS.format(_words(came)))
                 seen, reward, over, cut_off, _ = came
                 observations[row], rewards[row] = read(seen), number(reward, "reward")
                 terminated[row] = number(over, "terminated")
@@ -251,7 +251,7 @@ def make_rows(
 
 _SEEDS_BELOW_2_31 = 2**31 - 1
 _PLAIN = (float, bool, np.bool_)
-_STEP = (
+_STEP_WORDS = (
     "step: expected a tuple of 5 (observation, reward, terminated, truncated, info), got {}; an "
     "environment of the old Gym, with one done, is wrapped by shimmy.GymV21CompatibilityV0"
 )
@@ -317,13 +317,13 @@ class _Failures:
         if isinstance(error, Misfit | TaskError):
             raise RowError(self.row, str(error)) from error
         if error is not None and raised_by_environment(error):
-            raise RowError(self.row, _said(error)) from error
+            raise RowError(self.row, _told(error)) from error
 
 
-def _said(error: BaseException) -> str:
+def _told(error: BaseException) -> str:
     """What an environment raised, and where."""
     where = traceback.extract_tb(error.__traceback__)[-1]
     if "to unpack (expected 5" in str(error) and "gymnasium" in where.filename:  # a wrapper of its
-        return _STEP.format(str(error).rpartition("got ")[2].rstrip(")") + " values")
+        return _STEP_WORDS.format(str(error).rpartition("got ")[2].rstrip(")") + " values")
     what = "sys.exit was called" if isinstance(error, SystemExit) else type(error).__name__
     return f"{what}: {error} ({Path(where.filename).name}:{where.lineno})"
