@@ -47,7 +47,9 @@ def assignments(texts: Sequence[str]) -> dict[str, Any]:
     A `TaskError` names the one that has no name or no value.
     """
     values: dict[str, Any] = {}
-    for text in texts:
+    for given in texts:
+        # What a terminal of a plain locale hands on as bytes is UTF-8.
+        text = given.encode(errors="surrogateescape").decode(errors="replace")
         name, equals, value = text.partition("=")
         if not name.isidentifier() or not equals:
             words = f"expected name=value, such as continuous=true; got {text!r}"

@@ -60,6 +60,10 @@ def test_arguments_are_json_or_else_text() -> None:
     assert task.id == "X-v0"
 
 
+def test_what_a_plain_locale_hands_on_as_bytes_is_utf_8() -> None:
+    assert assignments(["name=\udcc3\udc9cbung", 'b="\udcff"']) == {"name": "Übung", "b": "\ufffd"}
+
+
 def test_a_time_limit_is_an_argument() -> None:
     env = GymnasiumTask(id="CartPole-v1", kwargs=assignments(["max_episode_steps=2"])).make()
     env.reset(seed=1)

@@ -19,6 +19,7 @@ from neatq_trainers.arms import preset
 from neatq_trainers.cli import main
 from neatq_trainers.folder import FILM, RESULT, SCALING, load_run
 from neatq_trainers.policy import ChampionPolicy, load_policy
+from neatq_trainers.train import default_folder
 from neatq_trainers.worlds import GymnasiumConfig, facts_of
 
 Say = Callable[..., tuple[int, str, str]]
@@ -169,6 +170,15 @@ def test_any_name_of_a_world_is_drawn(neatq: Say) -> None:
         assert (status, error) == (0, "")
         assert Path("run/arena.png").is_file()
         shutil.rmtree("run")
+
+
+def test_a_name_that_the_file_system_does_not_know_is_written_otherwise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    config = preset("wall", "rtneat", env_kwargs={"name": "Übung ± 3"})
+    assert default_folder(config) == Path("runs/Übung-3-rtneat-seed0")
+    monkeypatch.setattr(sys, "getfilesystemencoding", lambda: "ascii")
+    assert default_folder(config) == Path("runs/-bung-3-rtneat-seed0")
 
 
 def test_what_a_terminal_cannot_write_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:

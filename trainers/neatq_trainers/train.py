@@ -194,7 +194,9 @@ def resume(
 
 def default_folder(config: RunConfig) -> Path:
     """Where a run goes if nobody says so."""
-    name = re.sub(r"[^\w.-]+", "-", config.world.label)
+    known = sys.getfilesystemencoding()  # a plain locale knows ASCII only
+    label = config.world.label.encode(known, "replace").decode(known)
+    name = re.sub(r"[^\w.-]+", "-", label)
     return Path("runs") / f"{name}-{config.arm}-seed{config.seed}"
 
 
