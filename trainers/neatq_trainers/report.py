@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import torch
 from matplotlib.axes import Axes
@@ -236,7 +237,9 @@ def film(folder: RunFolder, policy: ChampionPolicy) -> list[np.ndarray]:
     except BaseException as error:  # whatever it objects to, the run is over
         if isinstance(error, TaskError) or not raised_by_environment(error):
             raise
-        raise TaskError(f"left out: {type(error).__name__}: {error}") from error
+        missing = isinstance(error, gymnasium.error.DependencyNotInstalled)
+        kind = "" if missing else f"{type(error).__name__}: "
+        raise TaskError(f"left out: {kind}{error}") from error
     return frames[:: math.ceil(len(frames) / MOST_FRAMES)] if frames else []
 
 
