@@ -157,6 +157,7 @@ def _compile(structure: _Structure, evaluation: Evaluation) -> GenomePlan:
     state = np.unique(source[delayed])
     row = _rows(kind, len(state))
     dense = sensor[source] & now & (kind[target] == NodeKind.OUTPUT)
+    dense &= ~_second(source, target, genome.link_recurrent[enabled], len(kind))
     sparse = np.flatnonzero(~dense)
     sparse = sparse[np.lexsort((target[sparse], level[target[sparse]]))]
     column = np.empty(len(enabled), np.int32)
@@ -178,6 +179,17 @@ def _compile(structure: _Structure, evaluation: Evaluation) -> GenomePlan:
         instruction=instruction,
         source=source_row[sparse],
     )
+
+
+def _second(
+    source: Indices, target: Indices, recurrent: NDArray[np.bool_], nodes: int
+) -> NDArray[np.bool_]:
+    """Which links are the recurrent one of two that lead from one node to one other [enabled].
+
+    The dense part has one column for each pair of nodes, and that is the other's.
+    """
+    pair = source * nodes + target
+    return recurrent & np.isin(pair, pair[~recurrent])
 
 
 def _rows(kind: Indices, state: int) -> NDArray[np.int32]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 
@@ -14,6 +16,7 @@ from hypothesis import strategies as st
 from neatq_torch.genome import (
     ACTIVATIONS,
     Genome,
+    GenomeError,
     InnovationLedger,
     MutationConfig,
     NodeKind,
@@ -119,19 +122,14 @@ def link_gradient(network: PopulationNetwork, index: int, evaluation: Evaluation
     return network.weight.grad[index].numpy()[plan.column]
 
 
-@settings(max_examples=60)
-@given(
-    seeds=st.lists(st.integers(0, 10**6), min_size=1, max_size=4, unique=True),
-    mutations=st.integers(0, 25),
-    evaluation=st.sampled_from(["settle", "synchronous"]),
-)
-def test_outputs_state_and_gradients_equal_the_oracle(
-    seeds: list[int], mutations: int, evaluation: Evaluation
-) -> None:
-    genomes = [grown(seed, mutations) for seed in seeds]
+def compare_with_oracle(genomes: Sequence[Genome], evaluation: Evaluation) -> PopulationNetwork:
+    """Compare outputs and gradients of the third call, whose state comes from the two before."""
     network = PopulationNetwork(genomes, evaluation=evaluation).double()
-    rng = np.random.default_rng(seeds)
-    observations, seed = rng.normal(size=(3, len(seeds), 3)), rng.normal(size=(len(seeds), 2))
+    rng = np.random.default_rng(len(genomes))
+    observations, seed = (
+        rng.normal(size=(3, len(genomes), network.inputs)),
+        rng.normal(size=(len(genomes), 2)),
+    )
     state, last = network.initial_state(), np.empty(0)
     for observation in observations:
         network.weight.grad = None
@@ -149,6 +147,56 @@ def test_outputs_state_and_gradients_equal_the_oracle(
         found = link_gradient(network, index, evaluation)
         wanted = np.array(wanted)[genome.link_enabled]
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
+    return network
+
+
+@settings(max_examples=60)
+@given(
+    seeds=st.lists(st.integers(0, 10**6), min_size=1, max_size=4, unique=True),
+    mutations=st.integers(0, 25),
+    evaluation=st.sampled_from(["settle", "synchronous"]),
+)
+def test_outputs_state_and_gradients_equal_the_oracle(
+    seeds: list[int], mutations: int, evaluation: Evaluation
+) -> None:
+    compare_with_oracle([grown(seed, mutations) for seed in seeds], evaluation)
+
+
+@pytest.mark.parametrize("evaluation", ["settle", "synchronous"])
+def test_any_two_links_that_the_rules_allow_have_a_weight_each(evaluation: Evaluation) -> None:
+    genomes = compare_with_oracle(every_pair_of_links(), evaluation).genomes()
+    # Of 48 links 1128 pairs; 182 of them with a forward link to itself, 6 more are cycles of two.
+    assert len(genomes) == 940
+    for one in genomes:
+        assert one.link_weight.tolist() == [0.5, 0.25]
+
+
+def every_pair_of_links() -> list[Genome]:
+    """A genome for each two links between an input, a bias, two outputs and two hidden nodes."""
+    kinds = np.array([0, 1, 2, 2, 3, 3])
+    assert [NodeKind(kind).name for kind in kinds[[0, 1, 2, 4]]] == [
+        *("INPUT", "BIAS", "OUTPUT", "HIDDEN")
+    ]
+    ends = itertools.product(range(1, 7), range(3, 7), (False, True))
+    genomes = []
+    for pair in itertools.combinations(ends, 2):
+        source, target, recurrent = zip(*pair, strict=True)
+        with contextlib.suppress(GenomeError):  # a cycle of forward links
+            genomes.append(
+                Genome(
+                    genome_id=0,
+                    node_id=np.arange(1, 7),
+                    node_kind=kinds,
+                    node_activation=[0, 0, 3, 1, 2, 3],  # pyright: ignore[reportArgumentType]
+                    link_innovation=np.array([1, 2]),
+                    link_source=np.array(source),
+                    link_target=np.array(target),
+                    link_weight=np.array([0.5, 0.25]),
+                    link_enabled=np.ones(2, bool),
+                    link_recurrent=np.array(recurrent),
+                )
+            )
+    return genomes
 
 
 def test_absent_and_disabled_links_have_no_weight_and_no_gradient() -> None:
