@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from neatq_torch.learning import CandidateValue as CandidateValue
     from neatq_torch.learning import DiscreteHeads as DiscreteHeads
     from neatq_torch.learning import EpsilonGreedy as EpsilonGreedy
+    from neatq_torch.learning import GenomeModule as GenomeModule
     from neatq_torch.learning import ReplayConfig as ReplayConfig
     from neatq_torch.learning import ReplayLearner as ReplayLearner
     from neatq_torch.learning import StepConfig as StepConfig
@@ -61,8 +62,8 @@ _HOMES = {
     "neatq_torch.genome": "Genome load_genome save_genome",
     "neatq_torch.kinds": "ConfigError",
     "neatq_torch.learning": "CandidateHeads CandidatePolicy CandidateTDLoss CandidateValue "
-    "DiscreteHeads EpsilonGreedy ReplayConfig ReplayLearner StepConfig TDConfig TDLearner "
-    "TraceConfig TraceLearner WireFittingLoss register_learner write_back",
+    "DiscreteHeads EpsilonGreedy GenomeModule ReplayConfig ReplayLearner StepConfig TDConfig "
+    "TDLearner TraceConfig TraceLearner WireFittingLoss register_learner write_back",
     "neatq_torch.network": "GenomeNetwork PopulationNetwork",
     "neatq_trainers.arms": "preset",
     "neatq_trainers.callbacks": "Callback",

@@ -12,6 +12,7 @@ from neatq_torch.learning.learner import (
     TDLearner,
     write_back,
 )
+from neatq_torch.learning.module import GenomeModule
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.registry import LearnerParts, learner_kinds, register_learner
 from neatq_torch.learning.replay import ReplayConfig, ReplayLearner
@@ -26,6 +27,7 @@ __all__ = [
     "CandidateValue",
     "DiscreteHeads",
     "EpsilonGreedy",
+    "GenomeModule",
     "Heads",
     "Learner",
     "LearnerParts",

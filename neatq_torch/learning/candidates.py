@@ -19,11 +19,13 @@ NOBODY = -1
 class CandidateValue(TensorDictModuleBase):
     """The Q-values of all candidates of every robot, as a `CandidateTDLoss` needs them.
 
-    Reads `observation` [*shape, *batch, inputs] and `network_state`, if there is one. Writes
-    `action_value` [..., K] and `chosen_action_value` [..., 1], the largest of them.
+    Reads `observation` [*shape, *batch, inputs] and `network_state`; without one, every
+    observation is the first of its episode. Writes `action_value` [..., K] and
+    `chosen_action_value` [..., 1], the largest of them. `shape` is that of the networks: [] of a
+    `GenomeNetwork`, so that any batch is one of its observations.
 
     Args:
-        network: The networks of all robots.
+        network: The networks of all robots, or the one of a genome.
         heads: How outputs are read.
         propose: Also write the `candidates` [..., K, A], as a `WireFittingLoss` needs them.
 
@@ -43,8 +45,10 @@ class CandidateValue(TensorDictModuleBase):
     @dispatch  # pyright: ignore[reportArgumentType]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Add the values of the candidates to `tensordict`."""
-        state = tensordict.get("network_state", None)
-        output = self.network(tensordict.get("observation"), state)
+        observation, state = tensordict.get("observation"), tensordict.get("network_state", None)
+        if state is None and self.network.state_size:
+            state = self.network.initial_state(observation.shape[len(self.network.shape) : -1])
+        output = self.network(observation, state)
         if self.propose:
             candidates, values = self.heads(output)
             tensordict.set("candidates", candidates)
@@ -57,10 +61,13 @@ class CandidateValue(TensorDictModuleBase):
 class CandidatePolicy(TensorDictModuleBase):
     """Acts for every robot: its network proposes candidates, `exploration` takes one of them.
 
-    Reads `observation`; writes `candidates` [*shape, K, A], `action_value` [*shape, K],
-    `candidate_index` [*shape], `action` [*shape, A], `chosen_action_value` [*shape, 1] and
-    `genome_id` [*shape, 1], by which learning knows whose transition it is: nobody's (-1) in slots
-    that do not live by an entry `living` [*shape, 1], if there is one. Where networks are recurrent
+    Rows are [*batch]: those of the networks, such as [arenas, robots], or for a `GenomeNetwork`
+    those of the environment, [] of a `GymEnv` or [3] of a `SerialEnv` of three.
+
+    Reads `observation`; writes `candidates` [*batch, K, A], `action_value` [*batch, K],
+    `candidate_index` [*batch], `action` [*batch, A], `chosen_action_value` [*batch, 1] and
+    `genome_id` [*batch, 1], by which learning knows whose transition it is: nobody's (-1) in slots
+    that do not live by an entry `living` [*batch, 1], if there is one. Where networks are recurrent
     it also writes the state that this tick read, `network_state`, and the one that the next tick
     reads, `("next", "network_state")`.
 
@@ -68,12 +75,15 @@ class CandidatePolicy(TensorDictModuleBase):
     through `reset`.
 
     Args:
-        network: The networks of all robots.
+        network: The networks of all robots, or the one of a genome.
         heads: How outputs are read.
-        exploration: How a candidate is taken.
+        exploration: How a candidate is taken, of the shape of the rows.
         double_activation: Activate each network a second time, with the observation before, as
             the published rtNEAT+Q did. Outputs are not affected at once, but recurrent state is.
         forgets: Start afresh where an episode begins (`step_count` is 0), too.
+
+    Raises:
+        ValueError: If network, heads and exploration do not fit each other.
 
     Example:
         >>> exploration = EpsilonGreedy(network.shape, seeds=[0], epsilon=0.1)
@@ -103,14 +113,25 @@ class CandidatePolicy(TensorDictModuleBase):
         self.exploration = exploration
         self.double_activation = double_activation
         self.forgets = forgets
-        self.register_buffer("memory", network.initial_state(), persistent=False)
-        previous = self.memory.new_zeros(*network.shape, network.inputs)
+        self._rows, lead = exploration.shape, len(network.shape)
+        if self._rows[:lead] != network.shape:
+            raise ValueError(
+                f"expected exploration of shape {tuple(network.shape)} or more, like the networks, "
+                f"got {self._rows}"
+            )
+        self.register_buffer("memory", self._afresh(), persistent=False)
+        previous = self.memory.new_zeros(*self._rows, network.inputs)
         self.register_buffer("previous", previous, persistent=False)
 
     @dispatch  # pyright: ignore[reportArgumentType]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Add every robot's action, and what led to it, to `tensordict`."""
         observation = tensordict.get("observation")
+        if observation.shape[:-1] != self._rows:
+            raise ValueError(
+                f"expected an observation for each row {list(self._rows)} of the exploration, got "
+                f"the shape {list(observation.shape)}"
+            )
         if self.forgets and (begins := tensordict.get("step_count").squeeze(-1) == 0).any():
             self._forget(begins)
         output, memory = self.network.step(observation, self.memory)
@@ -118,7 +139,7 @@ class CandidatePolicy(TensorDictModuleBase):
         index = self.exploration(values)
         taken = index.unsqueeze(-1)
         action = candidates.take_along_dim(taken.unsqueeze(-1), -2).squeeze(-2)
-        owner, living = self.network.genome_id.unsqueeze(-1), tensordict.get("living", None)
+        owner, living = self._owner(), tensordict.get("living", None)
         tensordict.set("candidates", candidates)
         tensordict.set("action_value", values)
         tensordict.set("candidate_index", index)
@@ -136,9 +157,18 @@ class CandidatePolicy(TensorDictModuleBase):
         return tensordict
 
     def reset(self, newborn: Tensor) -> None:
-        """Let newborns (mask [*shape]) start afresh: no state or exploration of those before."""
-        self.memory = fitted(self.memory, self.network.initial_state())
+        """Let newborns (mask [*batch]) start afresh: no state or exploration of those before."""
+        self.memory = fitted(self.memory, self._afresh())
         self._forget(newborn)
+
+    def _afresh(self) -> Tensor:
+        """The state of every row at birth [*batch, state]."""
+        return self.network.initial_state(self._rows[len(self.network.shape) :])
+
+    def _owner(self) -> Tensor:
+        """Whose network acts in each row [*batch, 1]."""
+        owner, rows = self.network.genome_id, self._rows
+        return owner.view(*owner.shape, *(1,) * (len(rows) - owner.ndim + 1)).expand(*rows, 1)
 
     def _forget(self, mask: Tensor) -> None:
         if self.network.state_size:
@@ -156,6 +186,6 @@ class CandidatePolicy(TensorDictModuleBase):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Go on from `state`."""
-        self.memory = fitted(state["memory"], self.network.initial_state())
+        self.memory = fitted(state["memory"], self._afresh())
         self.previous = fitted(state["previous"], self.previous)
         self.exploration.load_state_dict(state["exploration"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -48,7 +49,8 @@ class EpsilonGreedy(nn.Module):
     Under `ExplorationType.DETERMINISTIC` (and MODE and MEAN) the best candidate is taken.
 
     Args:
-        shape: (arenas, robots).
+        shape: (arenas, robots), or the batch shape of any environment: of (3,) each is an arena of
+            one, and () is one arena of one.
         seeds: One seed for each arena.
         epsilon: Probability of starting to explore, per tick and robot.
         max_hold_ticks: Longest run of one explored candidate.
@@ -106,9 +108,10 @@ class EpsilonGreedy(nn.Module):
             ValueError: If there are more or fewer seeds.
         """
         rows = [one if isinstance(one, Sequence) else [one] for one in seeds]
-        slots = range(1 if rows and isinstance(seeds[0], Sequence) else self.shape[-1])
+        robots = math.prod(self.shape[1:])
+        slots = range(1 if rows and isinstance(seeds[0], Sequence) else robots)
         wide = {len(row) * len(slots) for row in rows}
-        if len(self.shape) != 2 or len(rows) != self.shape[0] or wide != {self.shape[1]}:
+        if len(rows) != math.prod(self.shape[:1]) or wide != {robots}:
             raise ValueError(
                 f"expected one seed for each arena of {self.shape}, or one for each slot, got "
                 f"{len(rows)} of {sorted(wide)} slots"
@@ -119,15 +122,25 @@ class EpsilonGreedy(nn.Module):
         within = torch.tensor([_signed(slot * _STEP) for slot in slots])
         keys = _scramble(_scramble(arenas) + within)
         draws = torch.tensor([_signed(draw * _FACTORS[0]) for draw in range(3)])
-        self._keys = (keys + draws.view(3, 1, 1)).to(self.epsilon.device)
+        keys = (keys + draws.view(3, 1, 1)).view(3, *self.shape)
+        self._keys = keys.to(self.epsilon.device)
         self.held = torch.zeros_like(self.epsilon, dtype=torch.long)
         self.until_tick = torch.zeros_like(self.held)
 
     def forward(self, values: Tensor) -> Tensor:
-        """The candidates to take [*shape], by Q-values [*shape, K]; of equal ones the first."""
+        """The candidates to take [*shape], by Q-values [*shape, K]; of equal ones the first.
+
+        Raises:
+            ValueError: If there are values for more or fewer, or in another shape.
+        """
         greedy = values.argmax(-1)
         if exploration_type() not in (None, ExplorationType.RANDOM) or values.shape[-1] == 1:
             return greedy
+        if values.shape[:-1] != self.shape:
+            raise ValueError(
+                f"expected values of shape [{', '.join([*map(str, self.shape), 'K'])}], "
+                f"got {list(values.shape)}"
+            )
         self.tick += 1
         drawn = self.tick % _DRAWN_TICKS
         if drawn == 0 or values.shape[-1] != self._candidates:
@@ -158,12 +171,13 @@ class EpsilonGreedy(nn.Module):
 
     def _draw(self, first: int, candidates: int) -> None:
         """Draw for the ticks from `first` on [ticks, *shape]."""
+        ones = (1,) * len(self.shape)
         steps = [_signed(tick * _STEP) for tick in range(first, first + _DRAWN_TICKS)]
-        bits = self._keys.unsqueeze(1) + self._keys.new_tensor(steps).view(-1, 1, 1)
+        bits = self._keys.unsqueeze(1) + self._keys.new_tensor(steps).view(-1, *ones)
         uniform = _shift_right(_scramble(bits), 40) * 2.0**-24
         self._chance, choice, duration = uniform
         self._choice = (choice * candidates).long()
         hold = (1 / (1 - duration)).clamp_max(self.max_hold_ticks).long()
         ticks = torch.arange(first, first + _DRAWN_TICKS, device=hold.device)
-        self._end = hold + (ticks - 1).view(-1, 1, 1)
+        self._end = hold + (ticks - 1).view(-1, *ones)
         self._candidates = candidates

@@ -21,8 +21,8 @@ def accepts(*tensors: Tensor) -> bool:
     """Whether the kernels can stand in for torch operations on these tensors.
 
     They need plain float32 tensors in the CPU's memory. Whoever traces, transforms or watches
-    operations (export, compilation, `torch.func`, forward-mode derivatives, dispatch modes) must
-    see torch operations.
+    operations (export, compilation, `torch.jit.trace`, `torch.func`, forward-mode derivatives,
+    dispatch modes) must see torch operations.
     """
     for tensor in tensors:
         plain = type(tensor) is Tensor or type(tensor) is Parameter
@@ -30,6 +30,7 @@ def accepts(*tensors: Tensor) -> bool:
             return False
     return not (
         torch.compiler.is_compiling()
+        or torch._C._get_tracing_state() is not None
         or torch._C._are_functorch_transforms_active()
         or torch._C._len_torch_dispatch_stack()
         or forward_ad._current_level >= 0
@@ -54,9 +55,9 @@ def _forward(
     layout = plan.layout
     # torch's own `empty` costs a few percent of a call more.
     output = torch.from_numpy(np.empty((*observation.shape[:-1], layout.outputs), np.float32))
-    kept = state.new_empty(state.shape) if layout.state else state
+    kept = torch.from_numpy(np.empty(state.shape, np.float32)) if layout.state else state
     batch = _batch(plan, observation, state, output, kept)
-    kernels.forward(plan.program, layout.rows, _floats(weight), *batch)
+    kernels.forward(plan.program, layout.rows, plan.widened(_floats(weight)), *batch)
     return output, kept
 
 
@@ -112,16 +113,19 @@ class _Evaluate(torch.autograd.Function):
         ):
             return None, *_by_torch(plan, ctx.saved_tensors[:3], gradients, wanted)
         further = wanted[1] or wanted[2]
-        found = tuple(tensor.new_zeros(tensor.shape) for tensor in (weight, observation, state))
+        links = plan.widened(_floats(weight))
+        change = np.zeros(links.shape, np.float32)
+        seen, before = (tensor.new_zeros(tensor.shape) for tensor in (observation, state))
         kernels.backward(
             plan.program,
             plan.layout.rows,
-            _floats(weight),
+            links,
             _batch(plan, observation, state, output, state),
-            _floats(found[0]),
-            _batch(plan, found[1], found[2], *gradients),
+            change,
+            _batch(plan, seen, before, *gradients),
             further,
         )
+        found = torch.from_numpy(plan.narrowed(change)), seen, before
         return None, *(g if want else None for g, want in zip(found, wanted, strict=True))
 
 

@@ -8,7 +8,7 @@ is a loop over networks.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +47,8 @@ class Level:
         column: Weights of its links, counted through all networks [links].
         node: Value rows that it activates [nodes].
         activation: Their activations [nodes, 1].
-        activations: Those that occur.
+        activations: Those that occur; none where it has no nodes.
+        links: How many there are. Counted here: while somebody traces, `len` of a tensor warns.
     """
 
     source: Tensor
@@ -56,6 +57,7 @@ class Level:
     node: Tensor
     activation: Tensor
     activations: tuple[int, ...]
+    links: int
 
     def activate(self, sums: Tensor) -> Tensor:
         """Apply to each row of `sums` [nodes, batch] its own activation."""
@@ -76,20 +78,27 @@ class Levels:
 
     Attributes:
         layout: Room of each network.
+        networks: How many there are.
         levels: In evaluation order.
         live: Whether a link belongs to a dense column [networks, dense].
         kept: Value rows that the states keep [values].
         kept_at: Where in the states they are kept [values].
+        spread: Which of the packed weights each column is [columns], their number for none; see
+            `Plan.packed`.
     """
 
     layout: Layout
+    networks: int
     levels: tuple[Level, ...]
     live: Tensor
     kept: Tensor
     kept_at: Tensor
+    spread: Tensor | None
 
     @staticmethod
-    def build(program: Program, layout: Layout, device: torch.device) -> Levels:
+    def build(
+        program: Program, layout: Layout, device: torch.device, packed: Indices | None = None
+    ) -> Levels:
         """Sort a program's links and nodes into levels, for all networks at once."""
 
         def tensor(values: np.ndarray) -> Tensor:
@@ -122,45 +131,56 @@ class Levels:
                     node=tensor(row[nodes]),
                     activation=tensor(code[node][nodes][:, None]),
                     activations=tuple(np.unique(code[node][nodes]).tolist()),
+                    links=len(here),
                 )
             )
         network, number = _used(program.size[:, 1], layout.state)
         return Levels(
             layout=layout,
+            networks=len(program.size),
             levels=tuple(levels),
             live=tensor(program.live.copy()),
             kept=tensor(_row(program, layout, network, program.kept[network, number])),
             kept_at=tensor(network * layout.state + number),
+            spread=None if packed is None else tensor(_places(packed, layout.columns)),
         )
 
     def evaluate(self, weight: Tensor, observation: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """Evaluate every network on its observations.
 
         Args:
-            weight: [networks, columns].
+            weight: [networks, columns], or packed.
             observation: [..., inputs]; the leading dimensions are networks and batch, flat or not.
             state: [..., state], from the call before.
 
         Returns:
             Outputs [..., outputs] and the state for the next call: `state` itself if it is empty.
         """
-        layout, networks, lead = self.layout, len(weight), observation.shape[:-1]
+        layout, networks, lead = self.layout, self.networks, observation.shape[:-1]
         batch = math.prod(lead) // networks
+        if self.spread is not None:
+            weight = nn.functional.pad(weight, (0, 1)).index_select(1, self.spread)
         observation = observation.reshape(networks, batch, layout.inputs)
-        memory = state.reshape(networks, batch, layout.state)
         sensors = torch.cat([observation, observation.new_ones(networks, batch, 1)], 2)
         dense = torch.where(self.live, weight[:, : layout.dense], 0)
         sums = _product(sensors, dense.view(networks, layout.inputs + 1, layout.outputs))
-        hidden = observation.new_zeros(networks, batch, layout.hidden)
-        values = torch.cat([sensors, sums, memory, hidden], 2).transpose(1, 2)
+        rows = [sensors, sums]
+        if layout.state:
+            rows.append(state.reshape(networks, batch, layout.state))
+        if layout.hidden:
+            rows.append(observation.new_zeros(networks, batch, layout.hidden))
+        values = torch.cat(rows, 2).transpose(1, 2)
         flat = values.reshape(networks * layout.rows, batch)
         columns = weight.reshape(-1)
         for level in self.levels:
-            if len(level.source):
+            if level.links:
                 passed = flat.index_select(0, level.source)
                 passed = passed * columns.index_select(0, level.column).unsqueeze(1)
-                flat.index_add_(0, level.target, passed)
-            if len(level.node):
+                if torch.onnx.is_in_onnx_export() and torch._C._get_tracing_state() is not None:
+                    flat = flat + _sums(level.target, networks * layout.rows, passed)
+                else:
+                    flat.index_add_(0, level.target, passed)
+            if level.activations:
                 active = level.activate(flat.index_select(0, level.node))
                 flat.index_put_((level.node,), active)
         values = flat.view(networks, layout.rows, batch).transpose(1, 2)
@@ -173,10 +193,25 @@ class Levels:
         return output, kept.reshape(*lead, layout.state)
 
 
+def _sums(target: Tensor, rows: int, passed: Tensor) -> Tensor:
+    """What `passed` [links, batch] adds to each row [rows, batch], by a matrix product.
+
+    The ONNX exporter of before (dynamo=False) keeps one of several links into a row only.
+    """
+    return nn.functional.one_hot(target, rows).T.to(passed.dtype) @ passed
+
+
 def _used(sizes: Indices, width: int) -> tuple[Indices, Indices]:
     """Network and number of each entry, where network n uses its first `sizes[n]`."""
     network, number = np.nonzero(np.arange(width) < sizes[:, None])
     return network, number
+
+
+def _places(packed: Indices, columns: int) -> NDArray[np.int64]:
+    """Where in the packed weights each column stands [columns]; behind them, if nowhere."""
+    places = np.full(columns, len(packed), np.int64)
+    places[packed] = np.arange(len(packed))
+    return places
 
 
 def _row(program: Program, layout: Layout, network: Indices, row: Indices) -> Indices:
@@ -208,10 +243,17 @@ class Plan:
         layout: Room of each network.
         program: The evaluation order.
         version: Number of changes so far.
+        packed: The columns that belong to a link, where the parameter has these alone [links];
+            None if it has all columns.
     """
 
-    def __init__(self, plans: Sequence[GenomePlan]) -> None:
-        self.layout = Layout.union([plan.need for plan in plans]).with_slack()
+    def __init__(self, plans: Sequence[GenomePlan], *, exact: bool = False) -> None:
+        """Plan several genomes with room to grow, or a single one without (`exact`)."""
+        need = Layout.union([plan.need for plan in plans])
+        self.layout = need if exact else need.with_slack()
+        self.packed: Indices | None = None
+        if exact and len(plans[0].column) < need.columns:
+            self.packed = np.sort(plans[0].column)
         layout, networks = self.layout, len(plans)
         self.program = Program(
             size=np.zeros((networks, 3), np.int32),
@@ -224,6 +266,27 @@ class Plan:
         self._levels: Levels | None = None
         for slot, plan in enumerate(plans):
             self.write(slot, plan)
+
+    @property
+    def columns(self) -> int:
+        """Columns of the weight parameter."""
+        return self.layout.columns if self.packed is None else len(self.packed)
+
+    def place(self, column: Indices) -> Indices:
+        """Where the parameter has the weights of columns [n] of the layout."""
+        return column if self.packed is None else np.searchsorted(self.packed, column)
+
+    def widened(self, weight: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The weights in all columns of the layout [networks, columns]."""
+        if self.packed is None:
+            return weight
+        wide = np.zeros((1, self.layout.columns), np.float32)
+        wide.put(self.packed, weight)
+        return wide
+
+    def narrowed(self, wide: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What the parameter has of all columns [networks, columns]; undoes `widened`."""
+        return wide if self.packed is None else wide.take(self.packed, 1)
 
     def write(self, slot: int, plan: GenomePlan) -> None:
         """Put a genome's plan in a slot, after making room for it where it needs more."""
@@ -243,7 +306,13 @@ class Plan:
         """The evaluation order for torch operations; made when first asked for after a change."""
         if self._levels is not None and self._levels.live.device == device:
             return self._levels
-        levels = Levels.build(self.program, self.layout, device)
+        tracing = torch._C._get_tracing_state()
+        go_on: Callable[[object], None] = torch._C._set_tracing_state  # pyright: ignore
+        go_on(None)  # for torch.jit.trace, what is made here is a constant
+        try:
+            levels = Levels.build(self.program, self.layout, device, self.packed)
+        finally:
+            go_on(tracing)
         if type(levels.live) is torch.Tensor:  # not the fake tensor of somebody who traces
             self._levels = levels
         return levels

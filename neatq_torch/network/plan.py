@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from hashlib import blake2b
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -38,6 +39,7 @@ before. `synchronous`: one propagation a call, every link out of a hidden or out
 call before (Stanley's C++ NEAT, OpenNERO)."""
 
 IDENTITY = ACTIVATIONS.index("identity")
+DIGEST_BYTES = 16
 LAST_LEVEL = np.iinfo(np.int32).max
 """The level of outputs that no link reads within the call: after all others."""
 
@@ -109,6 +111,8 @@ class GenomePlan:
         kept: Rows whose values the state keeps [state].
         instruction: See `Program` [instructions, 5].
         source: Row that each sparse link reads, in the order of the columns [sparse].
+        digest: Of all that the meaning of the weights depends on: the same for two genomes of the
+            same nodes and enabled links, in the same order, evaluated in the same way.
     """
 
     need: Layout
@@ -117,6 +121,7 @@ class GenomePlan:
     kept: Indices
     instruction: Indices
     source: Indices
+    digest: bytes
 
 
 def compile_genome(genome: Genome, evaluation: Evaluation) -> GenomePlan:
@@ -178,7 +183,17 @@ def _compile(structure: _Structure, evaluation: Evaluation) -> GenomePlan:
         kept=row[state],
         instruction=instruction,
         source=source_row[sparse],
+        digest=_digest(genome, evaluation),
     )
+
+
+def _digest(genome: Genome, evaluation: Evaluation) -> bytes:
+    digest = blake2b(evaluation.encode(), digest_size=DIGEST_BYTES)
+    links = genome.link_source, genome.link_target, genome.link_recurrent
+    columns = genome.node_id, genome.node_kind, genome.node_activation
+    for column in (*columns, *(link[genome.link_enabled] for link in links)):
+        digest.update(len(column).to_bytes(8, "little") + column.tobytes())
+    return digest.digest()
 
 
 def _second(

@@ -25,6 +25,9 @@ from neatq_torch.genome import (
 from neatq_torch.network import Evaluation, GenomeNetwork, PopulationNetwork, compiled, kernels
 from neatq_torch.network.plan import compile_genome
 
+# Many tests look at one call of a recurrent network, on purpose.
+pytestmark = pytest.mark.filterwarnings("ignore:these networks keep a state")
+
 GROWTH = MutationConfig(
     add_node_prob=0.4, add_link_prob=0.8, recurrent_link_prob=0.4, toggle_enable_prob=0.3
 )

@@ -28,6 +28,9 @@ from neatq_torch.network.plan import compile_genome
 
 Values = dict[int, float]
 
+# Many tests look at one call of a recurrent network, on purpose.
+pytestmark = pytest.mark.filterwarnings("ignore:these networks keep a state")
+
 GROWTH = MutationConfig(
     add_node_prob=0.4, add_link_prob=0.8, recurrent_link_prob=0.4, toggle_enable_prob=0.3
 )
@@ -178,16 +181,15 @@ def every_pair_of_links() -> list[Genome]:
         *("INPUT", "BIAS", "OUTPUT", "HIDDEN")
     ]
     ends = itertools.product(range(1, 7), range(3, 7), (False, True))
-    genomes = []
+    base, genomes = initial_genome(1, 2, rng=np.random.default_rng(0)), []
     for pair in itertools.combinations(ends, 2):
         source, target, recurrent = zip(*pair, strict=True)
         with contextlib.suppress(GenomeError):  # a cycle of forward links
             genomes.append(
-                Genome(
-                    genome_id=0,
+                base.replaced(
                     node_id=np.arange(1, 7),
                     node_kind=kinds,
-                    node_activation=[0, 0, 3, 1, 2, 3],  # pyright: ignore[reportArgumentType]
+                    node_activation=np.array([0, 0, 3, 1, 2, 3]),
                     link_innovation=np.array([1, 2]),
                     link_source=np.array(source),
                     link_target=np.array(target),

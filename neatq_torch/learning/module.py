@@ -1,0 +1,108 @@
+"""A recurrent champion as a TorchRL module that carries its state through tensordicts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase, dispatch
+from torch import Tensor, nn
+from torchrl.data import Unbounded
+from torchrl.envs import TensorDictPrimer
+
+from neatq_torch.learning.heads import Heads
+
+
+class Steps(Protocol):
+    """What a `GenomeModule` asks of a network or policy: both step from state to state."""
+
+    @property
+    def state_size(self) -> int:
+        """Values of the state; 0 for none."""
+        ...
+
+    def initial_state(self, batch: Sequence[int] = ()) -> Tensor:
+        """The state where an episode begins [*batch, state_size]."""
+        ...
+
+    def step(self, observation: Any, state: Any) -> tuple[Tensor, Tensor]:
+        """The output and the next state."""
+        ...
+
+
+class GenomeModule(TensorDictModuleBase):
+    """A network or a loaded policy as a TorchRL policy; a recurrent one remembers its episode.
+
+    Reads `observation` [*batch, inputs] and writes `action`. If it is recurrent, it also reads
+    `network_state` [*batch, state_size] and `is_init` [*batch, 1] (of TorchRL's `InitTracker`),
+    both of which may be missing, and writes `("next", "network_state")`. An episode begins with the
+    initial state.
+
+    An environment must know of the state, as of that of an `LSTMModule`: append
+    `make_tensordict_primer()` and `InitTracker()` to it; a `Collector` does so by itself
+    (`auto_register_policy_transforms=True`). Then a rollout equals a plain loop that calls `step`.
+    In a batch that was collected each step has its own state, so the module can be called on whole
+    batches [*batch, time]; gradients do not flow from step to step.
+
+    Args:
+        module: A `GenomeNetwork`, or what `load_policy` gives.
+        heads: How outputs are read as an action: that of the greatest value. None: the action is
+            what `module` gives, the plain outputs of a network.
+        in_key: Where observations are.
+        out_key: Where actions are written.
+        state_key: Where the state is.
+
+    Example:
+        >>> env = GymEnv("CartPole-v1", categorical_action_encoding=True)
+        >>> policy = GenomeModule(load_policy("runs/CartPole-v1-neat-seed0"))
+        >>> collector = Collector(
+        ...     env, policy, frames_per_batch=200, auto_register_policy_transforms=True
+        ... )
+    """
+
+    def __init__(
+        self,
+        module: Steps,
+        *,
+        heads: Heads | None = None,
+        in_key: str = "observation",
+        out_key: str = "action",
+        state_key: str = "network_state",
+    ) -> None:
+        super().__init__()
+        assert isinstance(module, nn.Module)
+        self.module, self.heads = module, heads
+        self.in_keys, self.out_keys = [in_key], [out_key]
+        if module.state_size:
+            self.in_keys += [state_key, "is_init"]
+            self.out_keys.append(("next", state_key))
+
+    @property
+    def recurrent(self) -> bool:
+        """Whether there is a state."""
+        return len(self.out_keys) > 1
+
+    @dispatch  # pyright: ignore[reportArgumentType]
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Add the action, and the state for the next step, to `tensordict`."""
+        observation = tensordict.get(self.in_keys[0])
+        output, kept = self.module.step(observation, self._state(tensordict))
+        action = output if self.heads is None else self.heads.best(output)
+        tensordict.set(self.out_keys[0], action)
+        return tensordict.set(self.out_keys[1], kept) if self.recurrent else tensordict
+
+    def _state(self, tensordict: TensorDictBase) -> Tensor:
+        first = self.module.initial_state(tensordict.batch_size)
+        if not self.recurrent or (state := tensordict.get(self.in_keys[1], None)) is None:
+            return first
+        begins = tensordict.get("is_init", None)
+        return state if begins is None else torch.where(begins, first, state)
+
+    def make_tensordict_primer(self) -> TensorDictPrimer:
+        """The transform by which an environment knows of the state; empty if there is none."""
+        if not self.recurrent:
+            return TensorDictPrimer({})
+        first = self.module.initial_state()
+        return TensorDictPrimer({self.in_keys[1]: Unbounded(first.shape, dtype=first.dtype)})

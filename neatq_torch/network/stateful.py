@@ -1,0 +1,67 @@
+"""Networks that remember by themselves what they have seen, for plain loops."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+if TYPE_CHECKING:
+    from neatq_torch.network.population import PopulationNetwork
+
+
+class StatefulNetwork(nn.Module):
+    """Networks with a memory: each call goes on from the one before; `reset` begins anew.
+
+    The state is detached between calls: gradients reach the weights through the latest call alone.
+    Whoever wants them through time calls `network.step`. The state is no part of `state_dict`.
+
+    Args:
+        network: The networks; weights are shared, not copied.
+
+    Attributes:
+        state: What the next call reads [*shape, *batch, state_size]; None at the beginning.
+
+    Example:
+        >>> network = GenomeNetwork(load_genome("champion.json")).stateful()
+        >>> outputs = [network(observation) for observation in episode]
+        >>> network.reset()
+    """
+
+    def __init__(self, network: PopulationNetwork) -> None:
+        super().__init__()
+        self.network = network
+        self.state: Tensor | None = None
+
+    def forward(self, observation: Any) -> Tensor:
+        """Outputs [*shape, *batch, outputs] for observations [*shape, *batch, inputs].
+
+        Raises:
+            ValueError: If the batch is another than that of the calls before.
+        """
+        network, lead = self.network, len(self.network.shape)
+        observation = torch.as_tensor(observation, device=network.weight.device)
+        batch = observation.shape[lead:-1]
+        state = network.initial_state(batch) if self.state is None else self.state
+        if state.shape[lead:-1] != batch:
+            raise ValueError(
+                f"expected a batch {list(state.shape[lead:-1])} of observations, as in the calls "
+                f"before, got {list(batch)}; call reset() where another batch begins"
+            )
+        output, state = network.step(observation, state)
+        self.state = state.detach()
+        return output
+
+    def reset(self, begins: Tensor | None = None) -> None:
+        """Forget, all or where `begins` [*shape, *batch] is true: there an episode begins."""
+        if begins is None or self.state is None:
+            self.state = None
+            return
+        begins = torch.as_tensor(begins, device=self.state.device)
+        if begins.shape != self.state.shape[:-1] or begins.dtype != torch.bool:
+            raise ValueError(
+                f"expected begins as bools of shape {list(self.state.shape[:-1])}, got "
+                f"{begins.dtype} of shape {list(begins.shape)}"
+            )
+        self.state = self.state.masked_fill(begins.unsqueeze(-1), 0.0)
