@@ -128,6 +128,7 @@ def test_a_batch_is_as_many_robots(done: Done) -> None:
         policy.reset()
         alone = torch.stack([policy(one) for one in seen[slot]])
         assert torch.equal(together[slot], alone)
+    policy.reset()
     assert policy(seen).shape == together.shape
 
 
@@ -227,16 +228,14 @@ def test_it_is_an_ordinary_module(done: Done) -> None:
     policy = load_policy(done("neatq", "Walk-v0"))
     assert isinstance(policy, ChampionPolicy)
     (weights,) = policy.parameters()
-    (name, saved), *more = policy.state_dict().items()
-    assert name.endswith("weight")
-    assert not more
-    assert torch.equal(saved, weights)
+    state = policy.state_dict()
+    assert torch.equal(state["network.weight"], weights)
     seen = torch.tensor([0.3, 6.0])
     before = policy(seen)
     with torch.no_grad():
         weights.zero_()
     assert not torch.equal(policy(seen), before)
-    policy.load_state_dict({name: load_policy(done("neatq", "Walk-v0")).state_dict()[name]})
+    policy.load_state_dict(load_policy(done("neatq", "Walk-v0")).state_dict())
     assert torch.equal(policy(seen), before)
     assert policy.to(torch.float64)(seen).dtype == before.dtype  # the environment's own
     assert torch.allclose(policy(seen), before, atol=1e-5)
@@ -255,6 +254,130 @@ def test_a_champion_without_one_of_its_files_is_refused(
         load_policy(run)
 
 
-def test_where_there_is_no_run_there_is_no_policy(tmp_path: Path) -> None:
+def test_where_there_is_no_run_there_is_no_policy(done: Done, tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="no run"):
         load_policy(tmp_path)
+    with pytest.raises(RunFolderError, match="no run"):
+        load_policy(tmp_path / "nowhere")
+    alone = shutil.copy(done("neat", "Walk-v0") / CHAMPION, tmp_path / "alone.json")
+    with pytest.raises(
+        RunFolderError, match=r"alone.json: a file outside.*GenomeNetwork\(load_gen"
+    ):
+        load_policy(alone)
+
+
+@pytest.mark.parametrize("task", ["wall", "Walk-v0"])
+def test_a_run_and_a_genome_in_its_folder_can_be_loaded_too(done: Done, task: str) -> None:
+    folder = done("neat", task)
+    wanted = load_policy(folder)
+    assert isinstance(wanted, ChampionPolicy)
+    for what in (str(folder), load_run(folder), folder / CHAMPION):
+        policy = load_policy(what)
+        assert isinstance(policy, ChampionPolicy)
+        assert policy.network.genome().to_json() == wanted.network.genome().to_json()
+
+
+def remembering(done: Done, tmp_path: Path, remembers: bool = True) -> ChampionPolicy:
+    """A policy for `Walk-v0` that is recurrent, or not."""
+    folder = Path(shutil.copytree(done("neat", "Walk-v0"), tmp_path / str(remembers)))
+    genome = recurrent(load_genome(folder / CHAMPION))
+    if not remembers:
+        genome = genome.replaced(link_enabled=~genome.link_recurrent)
+    save_genome(genome, folder / CHAMPION)
+    policy = load_policy(folder)
+    assert isinstance(policy, ChampionPolicy)
+    assert policy.state_size == remembers
+    return policy
+
+
+@pytest.mark.parametrize("remembers", [False, True])
+def test_evaluate_policy_of_stable_baselines3_gives_the_returns_of_a_plain_loop(
+    done: Done, tmp_path: Path, remembers: bool
+) -> None:
+    evaluation = pytest.importorskip("stable_baselines3.common.evaluation")
+    vectorised = pytest.importorskip("stable_baselines3.common.env_util")
+    policy: Any = remembering(done, tmp_path, remembers)
+    config: Any = load_run(done("neat", "Walk-v0")).config
+    envs = vectorised.make_vec_env(config.world.id, 3, seed=5, env_kwargs=config.world.kwargs)
+    found, _ = evaluation.evaluate_policy(
+        policy, envs, n_eval_episodes=6, return_episode_rewards=True
+    )
+    single = [gymnasium.make(config.world.id, **config.world.kwargs) for _ in range(3)]
+    wanted = []
+    for number, env in enumerate(single):  # two episodes of each, of which the first has the seed
+        for seed in (5 + number, None):
+            observation, over = env.reset(seed=seed)[0], False
+            policy.reset()
+            wanted.append(0.0)
+            while not over:
+                action = policy(observation)
+                observation, reward, terminated, truncated, _ = env.step(action)
+                wanted[-1] += float(reward)
+                over = terminated or truncated
+    assert sorted(found) == pytest.approx(sorted(wanted), rel=1e-6)
+    assert len({round(one, 6) for one in wanted}) > 1
+
+
+def test_predict_begins_anew_where_an_episode_begins_and_leaves_the_memory_alone(
+    done: Done, tmp_path: Path
+) -> None:
+    policy = remembering(done, tmp_path)
+    seen = np.full((2, policy.network.inputs), 0.3, np.float32)
+    first, state = policy.predict(seen)
+    second, state = policy.predict(seen, state, np.array([False, False]))
+    mixed, _ = policy.predict(seen, state, np.array([True, False]))
+    third, _ = policy.predict(seen, state, deterministic=False)
+    assert not np.array_equal(first, second)
+    np.testing.assert_array_equal(mixed, np.stack([first[0], third[1]]))
+    np.testing.assert_array_equal(policy(seen), first)
+    alone, _ = policy.predict(seen[0])
+    np.testing.assert_array_equal(alone, first[0])
+
+
+def test_a_policy_that_remembers_refuses_another_batch_until_it_is_reset(
+    done: Done, tmp_path: Path
+) -> None:
+    policy = remembering(done, tmp_path)
+    seen = torch.full((2, policy.network.inputs), 0.3)
+    one = policy(seen[0])
+    with pytest.raises(ValueError, match=r"a batch \[\] of observations, as before, got \[2\]"):
+        policy(seen)
+    policy.reset()
+    assert torch.equal(policy(seen)[1], one)
+    plain = remembering(done, tmp_path, remembers=False)
+    assert torch.equal(plain(seen)[0], plain(seen[0]))
+
+
+@pytest.mark.parametrize("task", ["wall", "Walk-v0"])
+def test_an_observation_of_another_shape_is_named(done: Done, task: str) -> None:
+    policy = load_policy(done("neat", task))
+    assert isinstance(policy, ChampionPolicy)
+    inputs = policy.network.inputs
+    for shape in ((4, inputs + 1), ()):
+        with pytest.raises(ValueError) as error:
+            policy(np.zeros(shape))
+        wanted = f"expected an observation of shape [*batch, {inputs}], got {list(shape)}"
+        assert str(error.value) == wanted
+
+
+def test_a_policy_steps_as_a_network_does(done: Done) -> None:
+    policy = load_policy(done("described"))  # which activates twice
+    assert isinstance(policy, ChampionPolicy)
+    state = policy.initial_state((2,))
+    assert state.shape == (2, policy.state_size)
+    chance = torch.Generator().manual_seed(0)
+    for _ in range(4):
+        seen = torch.rand(2, policy.network.inputs, generator=chance)
+        action, state = policy.step(seen, state)
+        assert torch.equal(action, policy(seen))
+
+
+def test_the_table_is_asked_by_predict_too(done: Done) -> None:
+    policy = load_policy(done("qlearning"))
+    folder = load_run(done("qlearning"))
+    seen = np.zeros(
+        (3, len(build(folder.config, folder.read()["runs"][0]).world.env.arena.schema.observations))
+    )  # type: ignore[attr-defined]
+    action, state = policy.predict(seen, None, np.ones(3, bool))
+    np.testing.assert_array_equal(action, policy(seen))
+    assert state is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +15,20 @@ from torch import Tensor, nn
 from neatq_envs.gymnasium_task import Interface
 from neatq_envs.random_play import LARGEST, EnvFacts, ObservationScaling
 from neatq_torch.checkpoint import CheckpointError
-from neatq_torch.genome import Genome
+from neatq_torch.genome import Genome, load_genome
 from neatq_torch.learning import Heads, TableLearner
 from neatq_torch.network import GenomeNetwork
 from neatq_trainers.build import build, heads_of
 from neatq_trainers.config import RunConfig
-from neatq_trainers.folder import SCALING, load_run
+from neatq_trainers.folder import SCALING, RunFolder, RunFolderError, load_run
 from neatq_trainers.worlds import GymnasiumConfig, make_world
 
 
 class ChampionPolicy(nn.Module):
     """Takes the best action for an observation, as the environment gives and takes them.
 
-    A recurrent network remembers; call `reset` where an episode begins.
+    A recurrent network remembers; call `reset` where an episode begins. Whoever keeps the state
+    himself has `step`, as `GenomeNetwork` has it, or `predict`, as policies of Stable-Baselines3.
 
     Args:
         network: The champion; reads scaled observations.
@@ -54,13 +56,21 @@ class ChampionPolicy(nn.Module):
         self._scaling = None  # no buffers: rounded with the network they would scale otherwise
         if scaling is not None:
             self._scaling = torch.from_numpy(scaling.offset), torch.from_numpy(scaling.scale)
-        self._twice = double_activation
+        self._twice = double_activation and network.state_size > 0
         self.reset()
 
     def reset(self) -> None:
         """Forget the episode before."""
         self._state: Tensor | None = None
-        self._previous: Tensor | None = None
+
+    @property
+    def state_size(self) -> int:
+        """Values that the policy keeps from one step to the next; 0 if it is not recurrent."""
+        return self.network.state_size + (self.network.inputs if self._twice else 0)
+
+    def initial_state(self, batch: Sequence[int] = ()) -> Tensor:
+        """The state where an episode begins [*batch, state_size]."""
+        return self.network.weight.new_zeros(*batch, self.state_size)
 
     @torch.no_grad()
     def forward(self, observation: Any) -> Any:
@@ -73,29 +83,91 @@ class ChampionPolicy(nn.Module):
         Returns:
             A tensor for a tensor, else what the environment takes, of the type that its
             `action_space.sample()` gives: the action [*batch, *action].
+
+        Raises:
+            ValueError: If the shape is not that of observations, or the batch is another than
+                before although the policy is recurrent and was not reset.
         """
         seen = self._read(observation)
-        if self._state is None or self._state.shape[:-1] != seen.shape[:-1]:
-            self._state = self.network.initial_state(seen.shape[:-1])
-            self._previous = torch.zeros_like(seen)
-        output, self._state = self.network.step(seen, self._state)
-        if self._twice and self._previous is not None:
-            self._state, self._previous = self.network.step(self._previous, self._state)[1], seen
-        return self._act(self.heads.best(output), isinstance(observation, Tensor))
+        if self._state is None or not self.state_size:
+            self._state = self.initial_state(seen.shape[:-1])
+        if self._state.shape[:-1] != seen.shape[:-1]:
+            raise ValueError(
+                f"expected a batch {list(self._state.shape[:-1])} of observations, as before, got "
+                f"{list(seen.shape[:-1])}; call reset() where other episodes begin"
+            )
+        best, self._state = self._step(seen, self._state)
+        return self._act(best, isinstance(observation, Tensor))
+
+    @torch.no_grad()
+    def step(self, observation: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """The best action [*batch, *action] and the next state, without any memory of its own.
+
+        Args:
+            observation: [*batch, *observation].
+            state: [*batch, state_size], from `initial_state` or from the step before.
+        """
+        best, state = self._step(self._read(observation), state)
+        return self._act(best, True), state
+
+    @torch.no_grad()
+    def predict(
+        self,
+        observation: Any,
+        state: tuple[np.ndarray, ...] | None = None,
+        episode_start: np.ndarray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, tuple[np.ndarray, ...] | None]:
+        """The best action, and the state for the next call, as Stable-Baselines3 has it.
+
+        So `evaluate_policy` and whatever else asks models of that library takes a policy, too.
+
+        Args:
+            observation: As the environment gives it, or those of n environments.
+            state: What the call before returned; None at the beginning.
+            episode_start: Where an episode begins [*batch]: the state is not read there.
+            deterministic: Has no effect: a champion does not explore.
+        """
+        seen = self._read(observation)
+        first = before = self.initial_state(seen.shape[:-1])
+        if state is not None and self.state_size:
+            before = torch.as_tensor(state[0]).to(first)
+            if episode_start is not None:
+                begins = torch.as_tensor(episode_start, device=first.device).bool()
+                before = torch.where(begins.reshape(seen.shape[:-1]).unsqueeze(-1), first, before)
+        best, after = self._step(seen, before)
+        kept = (after.cpu().numpy(),) if self.state_size else None
+        return self._act(best, isinstance(observation, Tensor)), kept
+
+    def _step(self, seen: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """The best action [*batch, A], as the heads give it, and the next state."""
+        if not self._twice:
+            output, state = self.network.step(seen, state)
+            return self.heads.best(output), state
+        size = self.network.state_size
+        output, kept = self.network.step(seen, state[..., :size])
+        kept = self.network.step(state[..., size:], kept)[1]
+        return self.heads.best(output), torch.cat([kept, seen], -1)
 
     def _read(self, observation: Any) -> Tensor:
         """Scaled observations [*batch, inputs]."""
-        weight = self.network.weight
+        weight, inputs = self.network.weight, self.network.inputs
         space = None if self.interface is None else self.interface.observation
         if self.interface and not isinstance(space, spaces.Box | spaces.Discrete):
             observation, space = self.interface.read(observation), None  # no batch of them
         observation = torch.as_tensor(observation).to(weight.device)
         if isinstance(space, spaces.Discrete):
             number = observation.long() - int(space.start)
-            observation = nn.functional.one_hot(number, self.network.inputs)
-        elif isinstance(space, spaces.Box) and len(space.shape) != 1:
-            batch = observation.shape[: observation.ndim - len(space.shape)]
-            observation = observation.reshape(*batch, -1)
+            observation = nn.functional.one_hot(number, inputs)
+        else:
+            shape = space.shape if isinstance(space, spaces.Box) else (inputs,)
+            lead = observation.ndim - len(shape)
+            if lead < 0 or observation.shape[lead:] != shape:
+                expected = ", ".join(map(str, ("*batch", *shape)))
+                raise ValueError(
+                    f"expected an observation of shape [{expected}], got {list(observation.shape)}"
+                )
+            observation = observation.reshape(*observation.shape[:lead], inputs)
         seen = observation.double()
         if self._scaling is not None:
             offset, scale = (one.to(weight.device) for one in self._scaling)
@@ -136,6 +208,16 @@ class TablePolicy(nn.Module):
         action = action.reshape(*seen.shape[:-1], -1)
         return torch.from_numpy(action) if isinstance(observation, Tensor) else action
 
+    def predict(
+        self,
+        observation: Any,
+        state: None = None,
+        episode_start: np.ndarray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, None]:
+        """The best action, as Stable-Baselines3 has it; a table keeps no state."""
+        return self(observation), None
+
 
 def make_policy(config: RunConfig, genome: Genome, facts: EnvFacts | None) -> ChampionPolicy:
     """The policy of a genome in the world of a run."""
@@ -147,11 +229,11 @@ def make_policy(config: RunConfig, genome: Genome, facts: EnvFacts | None) -> Ch
     return ChampionPolicy(network, heads, interface, scaling, double_activation=twice)
 
 
-def load_policy(folder: Path | str) -> ChampionPolicy | TablePolicy:
+def load_policy(folder: Path | str | RunFolder) -> ChampionPolicy | TablePolicy:
     """The champion of a run, ready to act: a torch module, observation -> action.
 
     Args:
-        folder: The run's folder.
+        folder: The run's folder, or what `train` and `load_run` give; or a genome's file in it.
 
     Raises:
         RunFolderError: If there is no run in it.
@@ -164,7 +246,8 @@ def load_policy(folder: Path | str) -> ChampionPolicy | TablePolicy:
         >>> observation, _ = env.reset(seed=1)
         >>> observation, reward, terminated, truncated, _ = env.step(policy(observation))
     """
-    run = load_run(folder)
+    path = folder.path if isinstance(folder, RunFolder) else Path(folder)
+    run = _run_at(path)
     if run.config.population is None:
         state = run.read()
         learner = build(run.config.split(len(state["runs"]))[0], state["runs"][0]).learner
@@ -173,7 +256,23 @@ def load_policy(folder: Path | str) -> ChampionPolicy | TablePolicy:
     facts = None
     if isinstance(run.config.world, GymnasiumConfig):
         facts = _facts(run.path / SCALING)
-    return make_policy(run.config, run.champion(), facts)
+    schema = run.config.world.schema
+    genome = load_genome(path, observation_schema=schema) if path.is_file() else run.champion()
+    return make_policy(run.config, genome, facts)
+
+
+def _run_at(path: Path) -> RunFolder:
+    """The run in a folder, or in that of a file."""
+    if not path.is_file():
+        return load_run(path)
+    try:
+        return load_run(path.parent)
+    except RunFolderError as error:
+        raise RunFolderError(
+            f"{path}: a file outside of the folder of a run, whose world and scaling a policy "
+            "needs; give the run's folder, or take the network alone: "
+            f"GenomeNetwork(load_genome({str(path)!r}))"
+        ) from error
 
 
 def _facts(path: Path) -> EnvFacts:
