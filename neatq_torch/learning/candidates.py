@@ -46,9 +46,7 @@ class CandidateValue(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Add the values of the candidates to `tensordict`."""
         observation, state = tensordict.get("observation"), tensordict.get("network_state", None)
-        if state is None and self.network.state_size:
-            state = self.network.initial_state(observation.shape[len(self.network.shape) : -1])
-        output = self.network(observation, state)
+        output, _ = self.network.step(observation, state)
         if self.propose:
             candidates, values = self.heads(output)
             tensordict.set("candidates", candidates)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, dispatch
 from torch import Tensor, nn
@@ -27,8 +26,8 @@ class Steps(Protocol):
         """The state where an episode begins [*batch, state_size]."""
         ...
 
-    def step(self, observation: Any, state: Any) -> tuple[Tensor, Tensor]:
-        """The output and the next state."""
+    def step(self, observation: Any, state: Any = None) -> tuple[Tensor, Tensor]:
+        """The output and the next state; a state of zeros or None is the initial one."""
         ...
 
 
@@ -74,17 +73,17 @@ class GenomeModule(TensorDictModuleBase):
         super().__init__()
         assert isinstance(module, nn.Module)
         self.module, self.heads = module, heads
-        self.in_keys, self.out_keys = [in_key], [out_key]
-        if module.state_size:
-            self.in_keys += [state_key, "is_init"]
-            self.out_keys.append(("next", state_key))
+        state: list[Any] = [state_key, "is_init"] if module.state_size else []
+        self.in_keys = [in_key, *state]
+        after: list[Any] = [("next", one) for one in state[:1]]
+        self.out_keys = [out_key, *after]
 
     @property
     def recurrent(self) -> bool:
         """Whether there is a state."""
         return len(self.out_keys) > 1
 
-    @dispatch  # pyright: ignore[reportArgumentType]
+    @dispatch(auto_batch_size=False)
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Add the action, and the state for the next step, to `tensordict`."""
         observation = tensordict.get(self.in_keys[0])
@@ -93,16 +92,17 @@ class GenomeModule(TensorDictModuleBase):
         tensordict.set(self.out_keys[0], action)
         return tensordict.set(self.out_keys[1], kept) if self.recurrent else tensordict
 
-    def _state(self, tensordict: TensorDictBase) -> Tensor:
-        first = self.module.initial_state(tensordict.batch_size)
+    def _state(self, tensordict: TensorDictBase) -> Tensor | None:
+        """What the module shall remember; None for nothing."""
         if not self.recurrent or (state := tensordict.get(self.in_keys[1], None)) is None:
-            return first
+            return None
         begins = tensordict.get("is_init", None)
-        return state if begins is None else torch.where(begins, first, state)
+        return state if begins is None else state.masked_fill(begins, 0.0)
 
     def make_tensordict_primer(self) -> TensorDictPrimer:
         """The transform by which an environment knows of the state; empty if there is none."""
         if not self.recurrent:
-            return TensorDictPrimer({})
+            return TensorDictPrimer({}, expand_specs=True)
         first = self.module.initial_state()
-        return TensorDictPrimer({self.in_keys[1]: Unbounded(first.shape, dtype=first.dtype)})
+        spec = Unbounded(first.shape, dtype=first.dtype)
+        return TensorDictPrimer({self.in_keys[1]: spec}, expand_specs=True)

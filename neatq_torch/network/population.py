@@ -113,24 +113,17 @@ class PopulationNetwork(nn.Module):
         The batch of observations for each network may have any shape; without a state, see `step`,
         all start from the initial one, and networks that have one warn of it.
         """
-        weight = self.weight  # looked up once: a module's parameters are slow to find
-        observation = self._read(weight, observation)
-        if state is not None:
-            state = self._recall(weight, state, observation)
-        elif not self.state_size:
-            state = observation[..., :0]
-        else:
-            state = self.initial_state(observation.shape[len(self.shape) : -1])
-            if not torch.compiler.is_dynamo_compiling():
-                warnings.warn(_FORGETS, stacklevel=4)  # at the line that calls the module
-        return self._evaluate(weight, observation, state)[0]
+        if state is None and self.state_size and not torch.compiler.is_dynamo_compiling():
+            warnings.warn(_FORGETS, stacklevel=4)  # at the line that calls the module
+        return self.step(observation, state)[0]
 
-    def step(self, observation: Any, state: Any) -> tuple[Tensor, Tensor]:
+    def step(self, observation: Any, state: Any = None) -> tuple[Tensor, Tensor]:
         """One call of every network.
 
         Args:
             observation: [*shape, *batch, inputs].
-            state: [*shape, *batch, state_size], from `initial_state` or from the call before.
+            state: [*shape, *batch, state_size], from `initial_state` or from the call before; None
+                stands for the initial one.
 
         Returns:
             Outputs [*shape, *batch, outputs] and the state for the next call.
@@ -138,13 +131,14 @@ class PopulationNetwork(nn.Module):
         Raises:
             ValueError: If a shape or dtype does not fit.
         """
-        weight = self.weight
+        weight = self.weight  # looked up once: a module's parameters are slow to find
         observation = self._read(weight, observation)
-        return self._evaluate(weight, observation, self._recall(weight, state, observation))
-
-    def _evaluate(
-        self, weight: Tensor, observation: Tensor, state: Tensor
-    ) -> tuple[Tensor, Tensor]:
+        if state is not None:
+            state = self._recall(weight, state, observation)
+        elif self.state_size:
+            state = self.initial_state(observation.shape[len(self.shape) : -1])
+        else:
+            state = observation[..., :0]
         if compiled.accepts(weight, observation, state):
             return compiled.evaluate(self.plan, weight, observation, state)
         return self.plan.levels(weight.device).evaluate(weight, observation, state)

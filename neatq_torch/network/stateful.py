@@ -43,13 +43,12 @@ class StatefulNetwork(nn.Module):
         network, lead = self.network, len(self.network.shape)
         observation = torch.as_tensor(observation, device=network.weight.device)
         batch = observation.shape[lead:-1]
-        state = network.initial_state(batch) if self.state is None else self.state
-        if state.shape[lead:-1] != batch:
+        if self.state is not None and self.state.shape[lead:-1] != batch:
             raise ValueError(
-                f"expected a batch {list(state.shape[lead:-1])} of observations, as in the calls "
-                f"before, got {list(batch)}; call reset() where another batch begins"
+                f"expected a batch {list(self.state.shape[lead:-1])} of observations, as in the "
+                f"calls before, got {list(batch)}; call reset() where another batch begins"
             )
-        output, state = network.step(observation, state)
+        output, state = network.step(observation, self.state)
         self.state = state.detach()
         return output
 

@@ -13,13 +13,15 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
+from torchrl.collectors import Collector
+from torchrl.envs import GymEnv, SerialEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from neatq_envs.episodes import TEST, episode_seeds
 from neatq_envs.random_play import EnvFacts
 from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.genome import Genome, GenomeError, load_genome, save_genome
-from neatq_torch.learning import TableLearner
+from neatq_torch.learning import GenomeModule, TableLearner
 from neatq_trainers.arms import ARMS, preset
 from neatq_trainers.build import build
 from neatq_trainers.config import RunConfig
@@ -370,6 +372,25 @@ def test_a_policy_steps_as_a_network_does(done: Done) -> None:
         seen = torch.rand(2, policy.network.inputs, generator=chance)
         action, state = policy.step(seen, state)
         assert torch.equal(action, policy(seen))
+
+
+@pytest.mark.parametrize("remembers", [False, True])
+def test_a_policy_acts_in_a_collector_of_torchrl_as_it_is(
+    done: Done, tmp_path: Path, remembers: bool
+) -> None:
+    policy = remembering(done, tmp_path, remembers)
+    config: Any = load_run(done("neat", "Walk-v0")).config
+    env = SerialEnv(2, lambda: GymEnv(config.world.id, **config.world.kwargs))
+    settings: Any = {"total_frames": -1, "auto_register_policy_transforms": True}
+    collector = Collector(env, GenomeModule(policy), frames_per_batch=40, **settings)
+    batch = next(iter(collector))
+    collector.shutdown()
+    for row in batch:
+        for one in row:
+            if bool(one["is_init"]):
+                policy.reset()
+            assert torch.equal(policy(one["observation"]), one["action"])
+    assert int(batch["is_init"].sum()) > 2
 
 
 def test_the_table_is_asked_by_predict_too(done: Done) -> None:

@@ -100,14 +100,17 @@ class ChampionPolicy(nn.Module):
         return self._act(best, isinstance(observation, Tensor))
 
     @torch.no_grad()
-    def step(self, observation: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    def step(self, observation: Any, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """The best action [*batch, *action] and the next state, without any memory of its own.
 
         Args:
             observation: [*batch, *observation].
-            state: [*batch, state_size], from `initial_state` or from the step before.
+            state: [*batch, state_size], from `initial_state` or from the step before; None stands
+                for the initial one.
         """
-        best, state = self._step(self._read(observation), state)
+        seen = self._read(observation)
+        state = self.initial_state(seen.shape[:-1]) if state is None else state
+        best, state = self._step(seen, state)
         return self._act(best, True), state
 
     @torch.no_grad()
