@@ -54,11 +54,9 @@ class GenomeModule(TensorDictModuleBase):
         state_key: Where the state is.
 
     Example:
-        >>> env = GymEnv("CartPole-v1", categorical_action_encoding=True)
         >>> policy = GenomeModule(load_policy("runs/CartPole-v1-neat-seed0"))
-        >>> collector = Collector(
-        ...     env, policy, frames_per_batch=200, auto_register_policy_transforms=True
-        ... )
+        >>> env = env.append_transform(policy.make_tensordict_primer())  # in a loop of your own
+        >>> rows = env.rollout(100, policy)
     """
 
     def __init__(

@@ -382,7 +382,7 @@ def test_a_policy_acts_in_a_collector_of_torchrl_as_it_is(
     config: Any = load_run(done("neat", "Walk-v0")).config
     env = SerialEnv(2, lambda: GymEnv(config.world.id, **config.world.kwargs))
     settings: Any = {"total_frames": -1, "auto_register_policy_transforms": True}
-    collector = Collector(env, GenomeModule(policy), frames_per_batch=40, **settings)
+    collector = Collector(env, GenomeModule(policy), frames_per_batch=200, **settings)
     batch = next(iter(collector))
     collector.shutdown()
     for row in batch:
