@@ -221,6 +221,8 @@ def test_every_space_is_read_and_acted_in(
             )
         (wanted,) = interface.act(candidates[values.argmax()][None].numpy())
         assert interface.action.contains(alone)
+        assert type(alone) is type(interface.action.sample())
+        assert alone.dtype == interface.action.dtype
         np.testing.assert_array_equal(alone, wanted)
         plain.append(wanted)
     np.testing.assert_array_equal(together, np.array(plain))
