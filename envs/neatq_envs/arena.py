@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from neatq_envs.flags import ArenaFlags
+from neatq_envs.jit import kernel
 from neatq_envs.physics import Physics
 from neatq_envs.rewards import Rewards, flag_distance
 from neatq_envs.scenario import REWARD_DIMENSIONS, Scenario, ScenarioError
@@ -248,7 +248,7 @@ class Arena:
         return place, heading
 
 
-@njit(cache=True)
+@kernel()
 def steer(
     actions: np.ndarray, heading_rad: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[bool, np.ndarray, np.ndarray]:

@@ -11,7 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from neatq_envs.jit import kernel
 
 ROBOTS_PER_CELL = 16  # if spread evenly; with fewer, loops are too short to be fast
 
@@ -41,7 +42,7 @@ def grid_of(width: float, height: float, robots: int, least: float) -> Grid:
     return Grid(columns, rows, width / columns, height / rows)
 
 
-@njit(cache=True)
+@kernel()
 def friend_offsets(position: np.ndarray, grid: Grid, reach: float) -> np.ndarray:
     """The way from each robot to the middle of all within reach, itself included.
 
@@ -63,7 +64,7 @@ def friend_offsets(position: np.ndarray, grid: Grid, reach: float) -> np.ndarray
     return offsets
 
 
-@njit(cache=True)
+@kernel()
 def nearest_friend_squared(position: np.ndarray, grid: Grid) -> np.ndarray:
     """Squared distances [arenas, robots] to the nearest friend, infinite for a robot alone."""
     nearest = np.empty(position.shape[:2])
@@ -86,14 +87,14 @@ def nearest_friend_squared(position: np.ndarray, grid: Grid) -> np.ndarray:
     return nearest
 
 
-@njit(cache=True)
+@kernel()
 def _nearby_columns(cell: int, rings: int, grid: Grid) -> range:
     """The columns at most `rings` away from that of a cell."""
     column = cell // grid.rows
     return range(max(column - rings, 0), min(column + rings + 1, grid.columns))
 
 
-@njit(cache=True)
+@kernel()
 def _entries(cell: int, column: int, rings: int, grid: Grid, crowd: Sorted) -> tuple[int, int]:
     """The entries of a column whose rows are at most `rings` away from that of a cell."""
     row, bottom = cell % grid.rows, column * grid.rows
@@ -102,7 +103,7 @@ def _entries(cell: int, column: int, rings: int, grid: Grid, crowd: Sorted) -> t
     return crowd.start[first], crowd.start[last + 1]
 
 
-@njit(cache=True)
+@kernel()
 def _sort(place: np.ndarray, grid: Grid) -> Sorted:
     """Sort the robots at `place`, float64 [robots, 2], by counting those of each cell."""
     robots = len(place)
@@ -123,7 +124,7 @@ def _sort(place: np.ndarray, grid: Grid) -> Sorted:
     return Sorted(robot, start, x, y)
 
 
-@njit(cache=True)
+@kernel()
 def _add_friends(
     crowd: Sorted, own: tuple[int, int], others: tuple[int, int], reach: float, sums: np.ndarray
 ) -> None:
@@ -140,7 +141,7 @@ def _add_friends(
             friends[i] += near
 
 
-@njit(cache=True)
+@kernel()
 def _approach(
     crowd: Sorted, own: tuple[int, int], others: tuple[int, int], best: np.ndarray
 ) -> None:

@@ -12,9 +12,9 @@ import math
 
 import numpy as np
 import pymunk
-from numba import njit
 from pymunk import batch
 
+from neatq_envs.jit import kernel
 from neatq_envs.rays import barriers, ray_distances
 from neatq_envs.scenario import BORDER_INSET, Scenario
 from neatq_envs.walls import Wall
@@ -149,7 +149,7 @@ class Physics:
             self.teleport(lost, before)
 
 
-@njit(cache=True)
+@kernel()
 def _write_forces(force: np.ndarray, size: int, wished: np.ndarray, velocity: np.ndarray) -> None:
     """Write forces [arenas, rooms, rows, 2] that change velocities [arenas, robots, 2]."""
     for arena in range(len(wished)):
@@ -159,7 +159,7 @@ def _write_forces(force: np.ndarray, size: int, wished: np.ndarray, velocity: np
                 force[arena, robot // size, robot % size, axis] = change
 
 
-@njit(cache=True)
+@kernel()
 def _read_motion(motion: np.ndarray, size: int, robots: int) -> tuple[np.ndarray, np.ndarray]:
     """Places and velocities, float64 [arenas, robots, 2], of [arenas, rooms, rows, 4]."""
     place, velocity = np.empty((len(motion), robots, 2)), np.empty((len(motion), robots, 2))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from neatq_torch.genome.genome import Genome
 from neatq_torch.genome.graph import node_levels
 from neatq_torch.genome.rules import LINK_FIELDS, NODE_FIELDS, GenomeError
+from neatq_torch.jit import cached_njit
 from neatq_torch.kinds import check_fields
 
 
@@ -90,7 +90,7 @@ def multipoint(
     return _with_extra_genes(child, parents[other]) or child
 
 
-@njit(cache=True)
+@cached_njit()
 def matching(
     first: NDArray[np.int64], second: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -140,7 +140,7 @@ def _with_extra_genes(child: Genome, other: Genome) -> Genome | None:
     )
 
 
-@njit(cache=True)
+@cached_njit()
 def _without_rivals(
     innovation: NDArray[np.int64],
     source: NDArray[np.int64],

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from neatq_torch.genome.genome import Genome
+from neatq_torch.jit import cached_njit
 from neatq_torch.kinds import check_fields
 
 SMALL_GENOME_LINKS = 20
@@ -134,7 +134,7 @@ class LinkTable:
         return [slots[group[slots] == one] for one in range(max(len(groups), group.max() + 1))]
 
 
-@njit(cache=True)
+@cached_njit()
 def _distance(
     own: Markings,
     own_weight: Weights,
@@ -173,7 +173,7 @@ def _distance(
     return counted + weight * gaps / max(matches, 1)
 
 
-@njit(cache=True)
+@cached_njit()
 def _regroup(
     order: Slots,
     group: Slots,

@@ -5,13 +5,14 @@ from __future__ import annotations
 from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from neatq_torch.jit import cached_njit
 
 NodeIndices = NDArray[np.integer]
 
 
-@njit(cache=True)
+@cached_njit()
 def node_levels(sources: NodeIndices, targets: NodeIndices, nodes: int) -> NDArray[np.int32] | None:
     """Return for each node the length of the longest path of links that ends in it.
 
@@ -32,7 +33,7 @@ def node_levels(sources: NodeIndices, targets: NodeIndices, nodes: int) -> NDArr
     return levels
 
 
-@njit(cache=True)
+@cached_njit()
 def reaches(
     sources: NodeIndices, targets: NodeIndices, nodes: int, source: int, target: int
 ) -> bool:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from neatq_torch.genome.genome import Genome
@@ -20,6 +19,7 @@ from neatq_torch.genome.rules import (
     check_weights,
     index_of,
 )
+from neatq_torch.jit import cached_njit
 from neatq_torch.kinds import check_fields
 
 WeightScheme = Literal["opennero", "uniform"]
@@ -132,7 +132,7 @@ def mutated_weights(
     return _shaken(weights, shift, choice, old, young, cap)
 
 
-@njit(cache=True)
+@cached_njit()
 def _shaken(
     weights: NDArray[np.float32],
     shift: NDArray[np.float64],

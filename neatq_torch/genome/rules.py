@@ -9,10 +9,10 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from neatq_torch.genome.graph import find_cycle, node_levels
+from neatq_torch.jit import cached_njit
 
 if TYPE_CHECKING:
     from neatq_torch.genome.genome import Genome
@@ -121,7 +121,7 @@ def check_weights(innovation: NDArray[np.int64], weight: NDArray[np.float32]) ->
         _refuse(~np.isfinite(weight), text, innovation, weight)
 
 
-@njit(cache=True)
+@cached_njit()
 def _all_finite(weight: NDArray[np.float32]) -> bool:
     # Runs for every genome whenever robots write back what they learned: np.isfinite(...).all()
     # takes seven times as long.

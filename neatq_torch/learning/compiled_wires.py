@@ -16,6 +16,7 @@ from numba import njit
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from neatq_torch.jit import cached_njit
 from neatq_torch.learning.heads import CandidateHeads
 from neatq_torch.learning.learner import ADAM_BETAS, ADAM_EPSILON, TDLearner
 from neatq_torch.learning.objectives import discount_of
@@ -168,7 +169,7 @@ def _returns(
     return total, going_on * np.power(each, ahead, dtype=np.float32)
 
 
-@njit(cache=True, error_model="numpy")
+@cached_njit(error_model="numpy")
 def _slopes(
     output: Floats, action: Floats, target: Floats, wires: Wires, slope: Floats, error: Floats
 ) -> None:
@@ -273,7 +274,7 @@ def _spread(
             slope[first + k, i] -= part if gap[k, i] == _F0 else _F0
 
 
-@njit(cache=True, error_model="numpy")
+@cached_njit(error_model="numpy")
 def _descend(
     weight: Floats,
     gradient: Floats,

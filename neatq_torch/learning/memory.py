@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from neatq_torch.jit import cached_njit
 from neatq_torch.learning.learner import Saved
 
 NOW = ("observation", "action", "steps_to_next_obs")
@@ -142,7 +142,7 @@ def over_horizon(
     return TensorDict(now | {"steps_to_next_obs": ahead, "next": following}, shape[:-1])
 
 
-@njit(cache=True)
+@cached_njit()
 def _ahead(
     reward: NDArray[np.float32],
     done: NDArray[np.bool_],

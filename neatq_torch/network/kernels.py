@@ -20,6 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from neatq_torch.genome.rules import ACTIVATIONS
+from neatq_torch.jit import cached_njit
 from neatq_torch.network.plan import Program
 
 Floats = NDArray[np.float32]
@@ -253,7 +254,7 @@ def _read_block(
     values[first_hidden : first_hidden + program.size[network, 2]] = ZERO
 
 
-@njit(cache=True, error_model="numpy")
+@cached_njit(error_model="numpy")
 def forward(
     program: Program,
     rows: int,
@@ -340,7 +341,7 @@ def _adjoint(
                     _add(gradient[c // outputs], gradient[sensors + o], weight[c], n)
 
 
-@njit(cache=True, error_model="numpy")
+@cached_njit(error_model="numpy")
 def backward(
     program: Program,
     rows: int,
