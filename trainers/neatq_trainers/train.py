@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,6 +30,7 @@ from neatq_trainers.effects import refuse_without_effect
 from neatq_trainers.folder import RunFolder, load_run
 from neatq_trainers.loop import Stride
 from neatq_trainers.metrics import Row
+from neatq_trainers.names import file_name
 from neatq_trainers.run import Champion
 from neatq_trainers.workers import Worker, fitting_workers, open_workers
 from neatq_trainers.worlds import GymnasiumConfig, GymnasiumWorld, facts_of, make_world
@@ -194,10 +194,8 @@ def resume(
 
 def default_folder(config: RunConfig) -> Path:
     """Where a run goes if nobody says so."""
-    known = sys.getfilesystemencoding()  # a plain locale knows ASCII only
-    label = config.world.label.encode(known, "replace").decode(known)
-    name = re.sub(r"[^\w.-]+", "-", label)
-    return Path("runs") / f"{name}-{config.arm}-seed{config.seed}"
+    name, arm = file_name(config.world.label), file_name(config.arm)
+    return Path("runs") / f"{name}-{arm}-seed{config.seed}"
 
 
 def _checked(workers: int | None, config: RunConfig) -> int:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -29,6 +28,7 @@ from neatq_torch.kinds import ConfigError
 from neatq_trainers.arms import ARMS
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import CHECKPOINT, METRICS, Columns, RunFolder, load_run
+from neatq_trainers.names import file_name
 from neatq_trainers.train import LENGTHS
 from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig
 
@@ -78,11 +78,6 @@ class Cell(NamedTuple):
     def in_arena(self) -> bool:
         """Whether it is judged by distances; else by returns of episodes."""
         return isinstance(self.config.world, ArenaConfig)
-
-
-def file_name(task: str) -> str:
-    """What a task is called in names of files."""
-    return re.sub(r"[^\w.+-]+", "-", task)
 
 
 def digest(config: RunConfig) -> str:

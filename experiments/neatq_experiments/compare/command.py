@@ -15,7 +15,7 @@ from neatq_envs.gymnasium_task import assignments
 from neatq_envs.processes import usable_cores
 from neatq_envs.scenario import TASKS
 from neatq_experiments.compare import figures, variants
-from neatq_experiments.compare.cells import file_name, grid, outdated, runs_of, study_of
+from neatq_experiments.compare.cells import grid, outdated, runs_of, study_of
 from neatq_experiments.compare.report import (
     DIFFERENCES_FIGURE,
     HALVES_FIGURE,
@@ -43,6 +43,7 @@ from neatq_experiments.compare.tables import (
 from neatq_experiments.seeds import Results, Runs, read_results, run_missing
 from neatq_torch.atomic import write_atomic
 from neatq_torch.kinds import ConfigError
+from neatq_trainers.names import file_name
 from neatq_trainers.report import save_figure
 from neatq_trainers.train import LENGTHS
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from neatq_envs.render import plain_title
 from neatq_experiments.compare import statistics
-from neatq_experiments.compare.cells import Cell, digest, file_name
+from neatq_experiments.compare.cells import Cell, digest
 from neatq_experiments.compare.figures import colours_of, legend_beside
 from neatq_experiments.compare.report import NO_VALUE, estimate_text, markdown_table, reference_of
 from neatq_experiments.compare.tables import Tables, read_pair, write_table
@@ -25,6 +25,7 @@ from neatq_experiments.compare.variants import summary_of
 from neatq_experiments.seeds import Result, Results
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.folder import Columns, RunFolder
+from neatq_trainers.names import file_name
 
 RETURNS, RETURN_SEEDS = "returns.csv", "return_seeds.csv"
 MOMENTS = 200

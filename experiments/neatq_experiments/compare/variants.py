@@ -9,6 +9,7 @@ from typing import Any
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.arms import ARMS, preset
 from neatq_trainers.config import RunConfig
+from neatq_trainers.names import file_name
 from neatq_trainers.worlds import ArenaConfig
 
 PAPER_ARMS = ("rtneat", "committed", "described", "neatq", "qlearning")
@@ -40,10 +41,15 @@ def register_variants(group: str, variants: Mapping[str, Variant]) -> None:
     """Make variants known by name to `neatq compare`, and all of them by the name of their group.
 
     Raises:
-        ConfigError: If a name already stands for something else.
+        ConfigError: If a name already stands for something else, or is no name for a folder.
     """
     taken = {**ARMS, **GROUPS, **known_variants()}
     for name, one in {group: dict(variants), **variants}.items():
+        if name != file_name(name):
+            raise ConfigError(
+                f"variants: results go into folders of these names, got {name!r}; call it "
+                f"{file_name(name)}"
+            )
         if taken.get(name, one) != one:
             raise ConfigError(f"variants: {name!r} is taken by something else; choose another name")
     GROUPS[group] = dict(variants)
