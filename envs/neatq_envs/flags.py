@@ -39,7 +39,8 @@ class FlagSchedule:
 
     def __post_init__(self) -> None:
         require_fields(FlagSchedule, vars(self))
-        places = tuple(pair(f"positions[{i}]", at) for i, at in enumerate(self.positions))
+        numbered = enumerate(self.positions)
+        places = tuple(pair(f"positions[{i}]", at, "positions") for i, at in numbered)
         object.__setattr__(self, "positions", places)
         require(
             bool(places) == (self.ring is None),
@@ -47,10 +48,10 @@ class FlagSchedule:
             f"distance to the first spawn), got {'both' if places else 'neither'}",
         )
         if self.ring is not None:
-            least, greatest = pair("ring", self.ring)
+            least, greatest = pair("ring", self.ring, "ring")
             object.__setattr__(self, "ring", (least, greatest))
             words = f"ring: expected 0 <= least <= greatest, got [{least}, {greatest}]"
-            require(0 <= least <= greatest, words)
+            require(least <= greatest, words)
         require(
             not self.switch_ticks or (len(places) == 2 and places[0] != places[1]),
             "switch_ticks: expected two different places in positions, one for each flag, got "

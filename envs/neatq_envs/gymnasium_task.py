@@ -29,6 +29,8 @@ from neatq_envs.observations import (
     raised_by_environment,
 )
 
+from neatq_envs.checks import from_json
+
 PREFIX = "gym:"
 
 _EXTRAS = ("box2d", "mujoco", "classic-control", "toy-text")
@@ -44,7 +46,8 @@ def assignments(texts: Sequence[str]) -> dict[str, Any]:
     """What "name=value" says, several times.
 
     A value is read as JSON (`true`, `-5.0`, `"text"`, `null`, `[1, 2]`); what is no JSON is a text.
-    A `TaskError` names the one that has no name or no value.
+    A `TaskError` names the one that has no name or no value. What no scenario could have (the same
+    key twice, lists nested hundreds deep) is a `ScenarioError`.
     """
     values: dict[str, Any] = {}
     for given in texts:
@@ -55,8 +58,8 @@ def assignments(texts: Sequence[str]) -> dict[str, Any]:
             words = f"expected name=value, such as continuous=true; got {text!r}"
             raise TaskError(f"env_kwargs: {words}")
         try:
-            values[name] = json.loads(_JSON_WORDS.get(value, value))
-        except ValueError:
+            values[name] = from_json(_JSON_WORDS.get(value, value))
+        except json.JSONDecodeError:
             values[name] = value
     return values
 

@@ -43,13 +43,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from neatq_envs.checks import ScenarioError, read_object, require, require_fields, require_known
+from neatq_envs.checks import (
+    ScenarioError,
+    from_json,
+    read_object,
+    require,
+    require_fields,
+    require_known,
+    shown,
+)
 from neatq_envs.flags import FlagSchedule
 from neatq_envs.walls import MAZE_GOAL, MAZE_START, Wall, box_distance, hard_maze
 
 REWARD_DIMENSIONS: tuple[str, ...] = ("stand_ground", "stick_together", "approach_flag")
 REWARD_LAWS: tuple[str, ...] = ("published", "progress")
 SENSOR_SETS: tuple[str, ...] = ("arena", "opennero")
+_FILE_BYTES = 10_000_000
 BORDER_INSET = 2.0
 """Distance in units from the edge of the field to the inner face of its border wall."""
 
@@ -141,13 +150,6 @@ class Scenario:
         return TASKS["flag"].replaced(**_read_scenario(values))
 
     def _check_motion(self) -> None:
-        words = f"robots: expected a whole number of at least 1, got {self.robots}"
-        require(self.robots > 0, words)
-        for name in ("width", "height", "max_speed", "robot_radius"):
-            value = getattr(self, name)
-            require(value > 0, f"{name}: must be greater than 0, got {value}")
-        turn = self.max_turn_rad
-        require(0 <= turn <= math.pi, f"max_turn_rad: must lie in 0..pi, got {turn}")
         require(
             self.max_speed <= self.robot_radius,
             f"max_speed {self.max_speed} is greater than robot_radius {self.robot_radius}: "
@@ -169,9 +171,10 @@ class Scenario:
         require(bool(self.spawns), "spawns: expected at least one spawn, got none")
         margin = BORDER_INSET + self.robot_radius
         for number, spawn in enumerate(self.spawns):
-            xs, ys = spawn.x + spawn.offsets(), spawn.y + spawn.offsets()
+            offsets = spawn.offsets()
+            xs, ys = spawn.x + offsets, spawn.y + offsets
             where = f"spawns[{number}] at ({spawn.x}, {spawn.y}) with jitter {spawn.jitter}"
-            low, right, top = min(xs.min(), ys.min()), xs.max(), ys.max()
+            low, right, top = min(xs[0], ys[0]), xs[-1], ys[-1]
             require(
                 low >= margin and right <= self.width - margin and top <= self.height - margin,
                 f"{where}: a robot of radius {self.robot_radius} would touch the border; keep "
@@ -179,19 +182,20 @@ class Scenario:
                 f"{margin:g}..{self.height - margin:g}, jitter included",
             )
             for index, wall in enumerate(self.walls):
-                room = box_distance(xs[:, None], ys[None, :], wall)
                 require(
-                    not (room < self.robot_radius).any(),
+                    not _meet(xs, ys, wall, self.robot_radius),
                     f"{where}: a robot of radius {self.robot_radius} would begin inside "
                     f"walls[{index}]; move the spawn or the wall, or lower the jitter",
                 )
 
     def _check_flag(self) -> None:
+        places = np.array(self.flag.positions).reshape(-1, 2)
+        walled = np.broadcast_to(self.in_wall(*places.T), len(places)).tolist()
         for number, (x, y) in enumerate(self.flag.positions):
             where = f"flag.positions[{number}] ({x}, {y})"
             inside = 0 <= x <= self.width and 0 <= y <= self.height
             require(inside, f"{where} is outside the field of {self.width} x {self.height}")
-            require(not self.in_wall(x, y), f"{where} is inside a wall; move it")
+            require(not walled[number], f"{where} is inside a wall; move it")
         if self.flag.ring is not None:
             self._check_ring(self.flag.ring)
 
@@ -213,6 +217,17 @@ class Scenario:
         """Whether points lie in a wall, of the shape of `x` and `y`; just false without walls."""
         x, y = np.asarray(x), np.asarray(y)
         return np.any([box_distance(x, y, wall) <= 0 for wall in self.walls], axis=0)
+
+
+def _meet(xs: np.ndarray, ys: np.ndarray, wall: Wall, radius: float) -> bool:
+    """Whether a robot at one of the places `xs` x `ys` would touch a wall."""
+    cosine, sine = abs(math.cos(wall.angle_rad)), abs(math.sin(wall.angle_rad))
+    # Only near the wall, one column at a time: there may be millions of places.
+    far_x = (cosine * wall.width + sine * wall.height) / 2 + radius
+    far_y = (cosine * wall.height + sine * wall.width) / 2 + radius
+    near = ys[np.abs(ys - wall.y) <= far_y]
+    columns = xs[np.abs(xs - wall.x) <= far_x].tolist()
+    return any((box_distance(np.float64(x), near, wall) < radius).any() for x in columns)
 
 
 Source = Scenario | Mapping[str, Any] | Path | str
@@ -244,18 +259,20 @@ def find_scenario(
         return plain.replaced(**(usual | _read_scenario(source) | wanted))
     if source in TASKS:
         return TASKS[str(source)].replaced(**(usual | wanted))
-    words = f"expected {', '.join(TASKS)} or the path of a scenario file (.json); got "
-    words += repr(str(source))
-    require(bool(Path(source).suffix) or Path(source).exists(), f"task: {words}")
+    path, names = Path(source), ", ".join(TASKS)
     try:
-        values = _read_scenario(json.loads(Path(source).read_text(encoding="utf-8")))
+        words = f"expected {names} or the path of a scenario file (.json); got {shown(str(source))}"
+        require(bool(path.suffix) or path.exists(), f"task: {words}")
+        size = path.stat().st_size
+        require(size <= _FILE_BYTES, f"has {size:,} bytes; expected at most {_FILE_BYTES:,}")
+        values = _read_scenario(from_json(path.read_text(encoding="utf-8")))
         return plain.replaced(**(usual | values | wanted))
     except OSError as error:
         raise ScenarioError(f"{source}: cannot be read: {error.strerror}") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{source}: is not JSON: {error}") from error
     except ScenarioError as error:
         raise ScenarioError(f"{source}: {error}") from error
+    except ValueError as error:  # no JSON, no UTF-8, or no name of a file
+        raise ScenarioError(f"{source}: is not JSON: {error}") from error
 
 
 def _read_scenario(values: Any) -> dict[str, Any]:

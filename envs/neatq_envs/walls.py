@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from neatq_envs.checks import require, require_fields
+from neatq_envs.checks import require_fields
 
 MAZE_START, MAZE_GOAL = (31.0, 20.0), (36.0, 184.0)
 # Both ends of each wall; the first seven are the outer walls.
@@ -39,9 +39,6 @@ class Wall:
 
     def __post_init__(self) -> None:
         require_fields(Wall, vars(self))
-        for name in ("width", "height"):
-            value = getattr(self, name)
-            require(value > 0, f"{name}: must be greater than 0, got {value}")
 
     @staticmethod
     def between(start: tuple[float, float], end: tuple[float, float], *, thickness: float) -> Wall:

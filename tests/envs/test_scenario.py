@@ -122,7 +122,7 @@ def wall_at(x: float, y: float) -> dict[str, Any]:
         (wall_at(300, 166.67), ["flag.positions[0]", "inside a wall"]),
         (
             {"walls": [{"x": 1, "y": 1, "width": 0, "height": 4}]},
-            ["walls[0].width", "greater than 0"],
+            ["walls[0].width", "from 0.01 to 1,000,000 (units"],
         ),
         ({"walls": [{"x": 1, "y": 1, "w": 2}]}, ["walls[0]", 'unknown key "w"']),
         ({"walls": 5}, ["walls", "list"]),
