@@ -23,6 +23,8 @@ from neatq_envs.walls import Wall
 # they pass through each other; those that do not meet may be dealt into several Spaces.
 ROBOTS_PER_SPACE = 25
 BORDER_THICKNESS, COLLISION_BIAS = 60.0, 0.9
+# Of the solver. With pymunk's ten, robots that press into a corner overlap by up to 1.6 radii.
+CROWD_ITERATIONS = 30
 _ROBOT_BIT, _WALL_BIT = 0b01, 0b10
 # Getting may write past the last row when a buffer is exactly full.
 _SPARE_ROWS = 2
@@ -56,7 +58,7 @@ class Room:
         self._force, self._motion = batch.Buffer(), batch.Buffer()
         self._force.set_float_buf(force)
         self._motion.set_float_buf(motion)
-        self.space = pymunk.Space()
+        self.space, self._collide = pymunk.Space(), scenario.collide
 
     def rebuild(self, place: np.ndarray, velocity: np.ndarray) -> None:
         """Put the walls and robots into a new Space, from arrays [robots, 2]."""
@@ -68,6 +70,8 @@ class Room:
         self.space = pymunk.Space()
         # pymunk's default belongs to steps of 1/60: at one tick it throws crowds through walls.
         self.space.collision_bias = COLLISION_BIAS
+        if self._collide:
+            self.space.iterations = CROWD_ITERATIONS
         self.space.add(*self._parts)
 
     def step(self) -> None:
@@ -126,10 +130,14 @@ class Physics:
                 room.step()
         self._hold(*_read_motion(self._motion, self._size, velocity.shape[1]))
         if self._scenario.collide:
+            self._slow_down(before)
             self._hold_back(before)
 
     def teleport(self, mask: np.ndarray, place: np.ndarray) -> None:
         """Put the bodies of `mask` [arenas, robots] at rest at `place` [arenas, robots, 2]."""
+        self._put(mask, place)
+
+    def _put(self, mask: np.ndarray, place: np.ndarray) -> None:
         where = mask[..., None]
         self._hold(np.where(where, place, self.place), np.where(where, 0.0, self.velocity))
         for arena, robot in np.argwhere(mask).tolist():
@@ -140,6 +148,14 @@ class Physics:
     def _hold(self, place: np.ndarray, velocity: np.ndarray) -> None:
         self.place, self.velocity = place, velocity
         self.position = place + velocity
+
+    def _slow_down(self, before: np.ndarray) -> None:
+        """Stop bodies that others have thrown at more than the greatest speed, where it ends."""
+        way, most = self.position - before, self._scenario.max_speed
+        length = np.hypot(way[..., 0], way[..., 1])
+        thrown = length > most * (1 + 1e-9)  # rounding throws nobody
+        if thrown.any():
+            self._put(thrown, before + way * (most / np.maximum(length, most))[..., None])
 
     def _hold_back(self, before: np.ndarray) -> None:
         """Undo the tick of bodies whose centre was pressed into or through a wall by others."""

@@ -90,6 +90,22 @@ def test_nobody_leaves_the_field_when_all_push_into_one_corner(
     assert (arena.position.sum(-1) < near).all()
 
 
+@pytest.mark.parametrize("speed", [1.0, 2.0])
+def test_a_crowd_that_presses_into_a_corner_throws_nobody_and_overlaps_little(
+    speed: float, to_corner: Drive
+) -> None:
+    spawn = Spawn(x=120, y=120, jitter=110)
+    task = Scenario(name="corner", robots=200, collide=True, max_speed=speed, spawns=(spawn,))
+    arena = Arena(task, [0])
+    for tick in range(200):
+        before = arena.position
+        arena.step(to_corner(arena))
+        assert np.linalg.norm(arena.position - before, axis=-1).max() <= speed * (1 + 1e-6)
+        if tick >= 100:  # those that began on top of each other have parted
+            apart = np.linalg.norm(arena.position[0, :, None] - arena.position[0], axis=-1)
+            assert apart[~np.eye(200, dtype=bool)].min() > task.robot_radius  # of two radii
+
+
 @pytest.mark.parametrize("speed", [1.0, 4.0])
 def test_a_crowd_that_collides_never_enters_or_passes_a_thin_wall(speed: float) -> None:
     walls = (
