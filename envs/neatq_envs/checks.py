@@ -6,6 +6,7 @@ import difflib
 import json
 import math
 import reprlib
+from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields
 from typing import Any
@@ -85,8 +86,7 @@ def from_json(text: str) -> Any:
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     values = dict(pairs)
     if len(values) < len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
+        twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
         raise ScenarioError(f"the key {shown(twice)} is given twice; keep one of them")
     return values
 

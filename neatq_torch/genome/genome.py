@@ -21,10 +21,12 @@ from neatq_torch.genome.rules import (
     GenomeError,
     NodeKind,
     check_genome,
+    check_label,
     check_weights,
     frozen_array,
     index_of,
 )
+from neatq_torch.json_text import parse_json
 
 COLUMNS = NODE_FIELDS | LINK_FIELDS
 STRUCTURE = COLUMNS.keys() - {"link_weight", "link_enabled"}
@@ -32,6 +34,9 @@ FIELDS = frozenset({"genome_id", "observation_schema", *COLUMNS})
 
 WORDS = {"node_kind": tuple(kind.name.lower() for kind in NodeKind), "node_activation": ACTIVATIONS}
 """Names of what numbers stand for, as a file has them."""
+
+MOST_BYTES = 100_000_000
+"""Of a file: room for a genome of a million links."""
 
 Id = Annotated[int, msgspec.Meta(ge=-(2**31), lt=2**31)]
 Marking = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
@@ -64,7 +69,7 @@ class GenomeFile(msgspec.Struct, forbid_unknown_fields=True):
 
     format: Literal["neatq-genome"]
     version: Literal[1]
-    genome_id: int
+    genome_id: Marking
     observation_schema: str
     nodes: NodeColumns
     links: LinkColumns
@@ -79,7 +84,7 @@ class Genome:
     recurrent, enabled or not, form no cycle; (source, target, recurrent) is unique.
 
     Attributes:
-        genome_id: number of the genome in its run.
+        genome_id: number of the genome in its run, an int64.
         observation_schema: name of the meaning and order of its inputs, "" if unspecified.
         node_id: int32 [nodes], unique. Inputs and outputs among the nodes, in the order of
             this array, are the observations and the outputs of the network.
@@ -171,7 +176,9 @@ class Genome:
             return type(self)(**({name: getattr(self, name) for name in FIELDS} | changes))
         for name in changes.keys() & LINK_FIELDS.keys():
             changes[name] = self._link_column(name, changes[name])
-        return self.unchecked(**changes)
+        copy = self.unchecked(**changes)
+        check_label(copy)
+        return copy
 
     def unchecked(self, **changes: Any) -> Self:
         """Return a copy with some fields changed by somebody who keeps the rules.
@@ -235,8 +242,8 @@ class Genome:
     def from_json(cls, text: str | bytes) -> Self:
         """Return the genome that `to_json` wrote; GenomeError names a bad key or gene."""
         try:
-            data = json.loads(text)
-        except (ValueError, RecursionError) as error:
+            data = parse_json(text)
+        except ValueError as error:
             raise GenomeError(f"the text is not valid JSON: {error}.") from error
         return cls.from_dict(data)
 
@@ -260,6 +267,9 @@ def load_genome(path: str | Path, *, observation_schema: str | None = None) -> G
         >>> network = GenomeNetwork(load_genome("champion.json"))
     """
     try:
+        size = Path(path).stat().st_size
+        if size > MOST_BYTES:
+            raise GenomeError(f"expected at most {MOST_BYTES:,} bytes, got {size:,}.")
         genome = Genome.from_json(Path(path).read_bytes())
     except GenomeError as error:
         raise GenomeError(f"{path}: {error}") from error

@@ -56,7 +56,10 @@ def index_of(word: str, words: tuple[str, ...], noun: str) -> int:
 
 def frozen_array(name: str, value: object, dtype: type[np.generic]) -> NDArray[Any]:
     """Return `value` as a read-only array [entries] of `dtype` that nobody else can write to."""
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise GenomeError(f"{name} must be a 1-D array: {error}.") from error
     if array.ndim != 1:
         raise GenomeError(f"{name} must be a 1-D array, not one of shape {array.shape}.")
     if array.dtype == dtype and array.flags.owndata and not array.flags.writeable:
@@ -64,7 +67,7 @@ def frozen_array(name: str, value: object, dtype: type[np.generic]) -> NDArray[A
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             converted = array.astype(dtype)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise GenomeError(f"{name} cannot be read as {dtype.__name__}: {error}.") from error
     # Weights may be rounded to float32; ids and flags must arrive as they were.
     if array.dtype != dtype and dtype is not np.float32 and array.size:
@@ -83,6 +86,7 @@ def _refuse(wrong: NDArray[np.bool_], text: str, *columns: NDArray[Any]) -> None
 
 def check_genome(genome: Genome) -> None:
     """Raise a GenomeError if the genome breaks a rule."""
+    check_label(genome)
     for fields in (NODE_FIELDS, LINK_FIELDS):
         lengths = {name: getattr(genome, name).size for name in fields}
         if len(set(lengths.values())) > 1:
@@ -94,6 +98,16 @@ def check_genome(genome: Genome) -> None:
         _check_ends(genome)
         _check_links_once(genome)
         _check_acyclic(genome)
+
+
+def check_label(genome: Genome) -> None:
+    """Raise a GenomeError unless id and schema are an int64 and a text."""
+    number, schema = genome.genome_id, genome.observation_schema
+    whole = isinstance(number, int | np.integer) and not isinstance(number, bool)
+    if not (whole and -(2**63) <= number < 2**63):
+        raise GenomeError("genome_id must be a whole number from -2^63 to 2^63 - 1.")
+    if not isinstance(schema, str):
+        raise GenomeError(f"observation_schema must be a text, not {type(schema).__name__}.")
 
 
 def _check_nodes(genome: Genome) -> None:

@@ -76,6 +76,12 @@ BAD: dict[str, tuple[Edit, str]] = {
         put("links", "innovation", 4, 2**63),
         r"Expected `int` <= 9223372036854775807 - at `\$.links.innovation\[4\]`",
     ),
+    "genome id too large": (
+        add(genome_id=2**63),
+        r"Expected `int` <= 9223372036854775807 - at `\$.genome_id`",
+    ),
+    "genome id of 400 digits": (add(genome_id=10**400), r"Expected `int` .* at `\$.genome_id`"),
+    "node id of 400 digits": (put("nodes", "id", 0, 10**400), r"Expected `int` .*nodes.id\[0\]"),
     "node twice": (put("nodes", "id", 4, 4), "node id 4 occurs more than once"),
     "innovation twice": (
         put("links", "innovation", 3, 3),
@@ -149,6 +155,48 @@ def test_a_bad_genome_is_refused_by_name(small: Genome, name: str) -> None:
 def test_broken_json_is_refused(text: str) -> None:
     with pytest.raises(GenomeError, match="not valid JSON"):
         Genome.from_json(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"genome_id": ' + "9" * 5000 + "}", "limit"),
+        ('{"genome_id": 1, "nodes": 2, "genome_id": 1}', "'genome_id' is given twice"),
+        ("[" * 100_000 + "]" * 100_000, "nested more than 50 deep"),
+        ("[" * 51 + "[]" + "]" * 51, "nested more than 50 deep"),
+        ('{"nodes": ' * 600 + "1" + "}" * 600, "nested more than 50 deep"),
+    ],
+)
+def test_json_that_no_genome_needs_is_refused(text: str, words: str) -> None:
+    with pytest.raises(GenomeError, match=words):
+        Genome.from_json(text)
+
+
+def test_a_weight_beyond_all_numbers_is_named(small: Genome) -> None:
+    text = small.to_json().replace("0.5", "1e400", 1)
+    with pytest.raises(GenomeError, match="link with innovation 1: weight inf"):
+        Genome.from_json(text)
+
+
+def test_a_file_of_gigabytes_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "big.json").open("wb") as file:
+        file.truncate(1 << 40)  # takes no room on the disk
+    with pytest.raises(GenomeError, match=r"big\.json: expected at most 100,000,000 bytes"):
+        load_genome(tmp_path / "big.json")
+
+
+@pytest.mark.parametrize("number", [2**63, -(2**63) - 1, 10**400, 1.5, "7", True, None])
+def test_an_id_that_no_file_could_hold_is_refused(small: Genome, number: Any) -> None:
+    with pytest.raises(GenomeError, match="genome_id must be a whole number"):
+        small.replaced(genome_id=number)
+    with pytest.raises(GenomeError, match="genome_id must be a whole number"):
+        small.replaced(genome_id=number, node_id=small.node_id)
+
+
+@pytest.mark.parametrize("ids", [[[1], [1, 2]], [10**400], [[]] * 3, [None], ["x"], 7])
+def test_what_is_no_column_of_ids_is_refused(make_genome: Callable[..., Genome], ids: Any) -> None:
+    with pytest.raises(GenomeError, match="link_source"):
+        make_genome([(1, 1, 4, 1.0)], link_source=ids)
 
 
 @pytest.mark.parametrize("text", ["[]", "3", "null", '"genome"'])
