@@ -5,7 +5,12 @@ import io
 import json
 import os
 import pickle
+import struct
+import time
+import tracemalloc
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -211,6 +216,155 @@ def test_a_changed_byte_of_the_data_is_always_refused(saved: Path) -> None:
         damaged.write_bytes(changed)
         with pytest.raises(CheckpointError, match=r"weight\.npz"):
             load_checkpoint(damaged)
+
+
+def member(array: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+def rewritten(path: Path, changes: dict[str, bytes | None], compression: int = 0) -> Path:
+    """A copy of a checkpoint with other members (None: without), and right checksums."""
+    copy = path.with_name("rewritten.npz")
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(copy, "w", compression) as new:
+        contents = {name: old.read(name) for name in old.namelist()} | changes
+        for name, content in contents.items():
+            if content is not None:
+                new.writestr(name, content)
+    return copy
+
+
+def state_of(state: Any) -> np.ndarray:
+    header = {"format": FORMAT, "version": VERSION, "observation_schema": ""}
+    return np.frombuffer(json.dumps(header | {"state": state}).encode(), np.uint8)
+
+
+@contextmanager
+def little() -> Iterator[None]:
+    """At most a second and 100 MB."""
+    tracemalloc.start()
+    began = time.process_time()
+    yield
+    seconds, (_, peak) = time.process_time() - began, tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert seconds < 1.0 and peak < 100e6
+
+
+@pytest.mark.parametrize("kept", [True, False], ids=["digest", "no digest"])
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("array0.npy", None),
+        ("array0.npy", member(np.zeros(3))),
+        ("array1.npy", member(np.zeros((2, 3), np.float64))),
+        ("array1.npy", member(np.zeros((3, 2), np.float32))),
+        ("array9.npy", member(np.zeros(3))),
+        ("manifest.npy", None),
+        ("manifest.npy", member(state_of({"tick": 8}))),
+    ],
+)
+def test_changed_content_with_right_checksums_is_damaged(
+    saved: Path, name: str, content: bytes | None, kept: bool
+) -> None:
+    if not kept and name in ("array0.npy", "array1.npy") and content:
+        pytest.skip("files of version 0.2.0 cannot tell")
+    digest: dict[str, bytes | None] = {} if kept else {"digest.npy": None}
+    with pytest.raises(CheckpointError, match=r"rewritten\.npz: .*(damaged|altered)"):
+        load_checkpoint(rewritten(saved, {name: content} | digest))
+
+
+def test_files_without_a_digest_are_read_as_before(saved: Path) -> None:
+    assert equal(load_checkpoint(rewritten(saved, {"digest.npy": None})), STATE)
+
+
+def header_of(text: str) -> bytes:
+    data = text.encode()
+    return b"\x93NUMPY\x01\x00" + len(data).to_bytes(2, "little") + data
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        header_of("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), "),  # TokenError
+        header_of("{'descr': '<f4', 'fortran_order': False, 'shape': (2L, 3L), }") + bytes(24),
+        header_of("{'descr': '<f4', 'fortran_order': False, 'shape': (1 << 40,), }"),
+        header_of("{'descr': '<f4', 'fortran_order': False, 'shape': (2147483648, 4), }"),
+        header_of("{'descr': '<f4', 'fortran_order': False, 'shape': (-1, -1), }") + bytes(4),
+        header_of("{'descr': '<f4', 'fortran_order': False, 'shape': (0, 10000000000000000000), }"),
+        header_of("{'descr': '|O', 'fortran_order': False, 'shape': (2,), }") + bytes(16),
+        header_of("{'descr': [('a', '<f4')] * 9, 'fortran_order': False, 'shape': (1,), }"),
+        header_of("(" * 900),
+        header_of("9" * 9000),
+        header_of("\0" * 100),
+        b"\x93NUMPY\x02\x00\xff\xff\xff\xff",
+        b"",
+    ],
+    ids=range(13),
+)
+def test_a_damaged_header_is_refused_whatever_it_says(saved: Path, content: bytes) -> None:
+    changes: dict[str, bytes | None] = {"array1.npy": content, "digest.npy": None}
+    with little(), pytest.raises(CheckpointError, match=r"rewritten\.npz: .*damaged"):
+        load_checkpoint(rewritten(saved, changes))
+
+
+def test_what_would_fill_the_memory_is_refused_at_once(saved: Path) -> None:
+    zeros = header_of("{'descr': '|u1', 'fortran_order': False, 'shape': (50000000,), }")
+    bomb = rewritten(saved, {"array0.npy": zeros + bytes(50_000_000)}, zipfile.ZIP_DEFLATED)
+    assert bomb.stat().st_size < 100_000
+    with little(), pytest.raises(CheckpointError, match="compressed, which no checkpoint is"):
+        load_checkpoint(bomb)
+
+
+def test_a_file_beyond_the_memory_is_refused(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def too_large(_: Path) -> bytes:
+        raise MemoryError
+
+    monkeypatch.setattr(Path, "read_bytes", too_large)
+    with pytest.raises(CheckpointError, match=r"good\.npz: too large for the memory"):
+        load_checkpoint(saved)
+
+
+def test_an_archive_of_very_many_members_is_refused_at_once(tmp_path: Path) -> None:
+    entry = struct.pack("<4s6H3L5H2L", b"PK\1\2", *[0] * 16)
+    end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 65535, 65535, 200_000 * len(entry), 0, 0)
+    (tmp_path / "many.npz").write_bytes(entry * 200_000 + end)
+    with little(), pytest.raises(CheckpointError, match=r"many\.npz: .*more than 60,000 members"):
+        load_checkpoint(tmp_path / "many.npz")
+
+
+def test_more_arrays_than_can_be_read_again_are_not_saved(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="at most 60,000 arrays, got 60,001"):
+        save(tmp_path / "x", {"all": [np.zeros(0)] * 60_001}, observation_schema="")
+
+
+@pytest.mark.parametrize("depth", [60, 900, 100_000])
+def test_a_manifest_nested_too_deep_is_refused(tmp_path: Path, depth: int) -> None:
+    text = '{"format": "neatq-checkpoint", "version": 1, "observation_schema": "", "state": '
+    text += "[" * depth + "]" * depth + "}"
+    with (tmp_path / "deep.npz").open("wb") as file:
+        np.savez(file, manifest=np.frombuffer(text.encode(), np.uint8))
+    with little(), pytest.raises(CheckpointError, match=r"deep\.npz: .*nested more than 50 deep"):
+        load_checkpoint(tmp_path / "deep.npz")
+
+
+def test_an_array_that_stands_twice_and_a_key_given_twice_are_refused(tmp_path: Path) -> None:
+    one = {"__array__": "array0"}
+    arrays = {"manifest": state_of({"a": one, "b": one}), "array0": np.zeros(2)}
+    np.savez(tmp_path / "twice.npz", allow_pickle=False, **arrays)
+    with pytest.raises(CheckpointError, match="altered"):
+        load_checkpoint(tmp_path / "twice.npz")
+    text = '{"format": "neatq-checkpoint", "version": 1, "version": 1}'
+    np.savez(tmp_path / "key.npz", manifest=np.frombuffer(text.encode(), np.uint8))
+    with pytest.raises(CheckpointError, match="'version' is given twice"):
+        load_checkpoint(tmp_path / "key.npz")
+
+
+def test_arrays_in_the_order_of_fortran_come_back_so(tmp_path: Path) -> None:
+    array = np.asfortranarray(np.arange(6.0).reshape(2, 3))
+    save(tmp_path / "x", {"array": array}, observation_schema="")
+    again = load_checkpoint(tmp_path / "x")["array"]
+    assert again.flags.f_contiguous and again.flags.writeable and equal(again, array)
 
 
 def test_a_full_disk_leaves_the_checkpoint_before(

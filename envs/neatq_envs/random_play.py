@@ -81,11 +81,14 @@ class EnvFacts:
 
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> EnvFacts:
-        """Read what `to_dict` wrote."""
+        """Read what `to_dict` wrote; ValueError, TypeError or LookupError if it is not that."""
         low, high = values["value_range"]
-        parts = (np.array(values["observation"][name], float) for name in ("offset", "scale"))
+        offset, scale = (np.array(values["observation"][one], float) for one in ("offset", "scale"))
+        same = offset.ndim == 1 and offset.shape == scale.shape
+        if not (same and np.isfinite([offset, scale]).all() and (scale > 0).all()):
+            raise ValueError("observation: expected an offset and a positive scale for each input")
         known = bool(values["renewed"]), bool(values["repeatable"])
-        return EnvFacts(ObservationScaling(*parts), (float(low), float(high)), *known)
+        return EnvFacts(ObservationScaling(offset, scale), (float(low), float(high)), *known)
 
 
 class Play(NamedTuple):

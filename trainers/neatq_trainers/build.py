@@ -25,7 +25,8 @@ from neatq_torch.network import PopulationNetwork
 from neatq_trainers.config import RunConfig, named
 from neatq_trainers.metrics import DistanceMetrics, ReturnMetrics
 from neatq_trainers.run import Run, State
-from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig, World, make_world
+from neatq_trainers.saved import check_form, restoring
+from neatq_trainers.worlds import ArenaConfig, EnvConfig, GymnasiumConfig, World, make_world
 
 GENES_STREAM = 3
 """Of the random numbers of learning genes: [seed, stream]."""
@@ -83,11 +84,17 @@ def _in_world(config: RunConfig, world: World, state: State | None, episodes: in
     )
     run.begin_generation()
     if state is not None:
-        _restore(run, state)
+        with restoring():
+            _restore(run, state)
     return run
 
 
 def _restore(run: Run, state: State) -> None:
+    parts = {"policy": run.policy, "learner": run.learner, "metrics": run.metrics}
+    # A user's own parts know best what they have saved.
+    own = {name for name, part in parts.items() if type(part).__module__.startswith("neatq_")}
+    own |= set() if isinstance(run.config.world, EnvConfig) else {"world"}
+    check_form(state, {name: one for name, one in run.state_dict().items() if name in own})
     run.tick = state["tick"]
     run.policy.load_state_dict(state["policy"])
     run.learner.load_state_dict(state["learner"])
@@ -122,7 +129,9 @@ def _populations(
     kind, own = population_kinds.maker_of(config.population), config.population
     weights = world.reward_weights
     if state is not None:
-        return [kind.from_state(own, one, reward_weights=weights) for one in state["populations"]]
+        with restoring():
+            saved = state["populations"]
+            return [kind.from_state(own, one, reward_weights=weights) for one in saved]
     ranks = not config.learns and isinstance(config.world, GymnasiumConfig)
     only_ranks = ranks and heads.outputs == heads.candidates > 1
     try:
@@ -152,7 +161,8 @@ def _network(
     shape, evaluation = world.shape, config.network.evaluation
     network = PopulationNetwork(genomes, shape=shape, evaluation=evaluation)
     if state is not None:
-        network.load_weights(state["weight"])
+        with restoring():
+            network.load_weights(state["weight"])
     return network
 
 

@@ -18,10 +18,12 @@ from neatq_envs.random_play import EnvFacts
 from neatq_torch.atomic import write_atomic
 from neatq_torch.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from neatq_torch.genome import Genome, load_genome, save_genome
+from neatq_torch.json_text import parse_json
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.metrics import Row, csv_line, header, row_kind
 from neatq_trainers.run import State
+from neatq_trainers.saved import check_saved
 from neatq_trainers.workers import Snapshot
 from neatq_trainers.worlds import ArenaConfig
 
@@ -140,6 +142,7 @@ class RunFolder:
             raise CheckpointError(
                 f"{self.path / CHECKPOINT}: not a run of this version of neatq ({error})"
             ) from error
+        check_saved(self.path / CHECKPOINT, state, self.config)
         length = {name: getattr(self.config, name) for name in LENGTHS}
         if replace(made_with, **length) != self.config:
             raise CheckpointError(
@@ -215,7 +218,7 @@ class RunFolder:
     def result(self) -> dict[str, Any] | None:
         """What the test of the champions returned; None where there was none."""
         path = self.path / RESULT
-        return json.loads(path.read_bytes()) if path.is_file() else None
+        return _read_json(path) if path.is_file() else None
 
     def metrics(self) -> Columns:
         """The columns of `metrics.csv`, float64 [rows] each; empty cells are NaN."""
@@ -292,8 +295,19 @@ def load_run(path: Path | str) -> RunFolder:
     if not (path / CHECKPOINT).is_file():
         raise RunFolderError(f"{path}: no run to go on with; there is no {CHECKPOINT} in it")
     try:
-        return RunFolder(path, RunConfig.from_dict(json.loads(file.read_bytes())))
+        return RunFolder(path, RunConfig.from_dict(_read_json(file)))
     except FileNotFoundError as error:
         raise CheckpointError(f"{file}: there is no such file") from error
-    except ValueError as error:
+    except ConfigError as error:
         raise CheckpointError(f"{file}: altered or damaged: {error}") from error
+
+
+def _read_json(path: Path) -> Any:
+    """The object in one of the files that a run writes."""
+    try:
+        value = parse_json(path.read_bytes())
+    except ValueError as error:
+        raise CheckpointError(f"{path}: altered or damaged: {error}") from error
+    if not isinstance(value, dict):
+        raise CheckpointError(f"{path}: altered or damaged: no object {{...}}")
+    return value

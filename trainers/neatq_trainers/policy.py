@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from neatq_envs.gymnasium_task import Interface
 from neatq_envs.random_play import LARGEST, EnvFacts, ObservationScaling
 from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.genome import Genome, load_genome
+from neatq_torch.json_text import parse_json
 from neatq_torch.learning import Heads, TableLearner
 from neatq_torch.network import GenomeNetwork
 from neatq_trainers.build import build, heads_of
@@ -280,8 +280,8 @@ def _run_at(path: Path) -> RunFolder:
 
 def _facts(path: Path) -> EnvFacts:
     try:
-        return EnvFacts.from_dict(json.loads(path.read_bytes()))
+        return EnvFacts.from_dict(parse_json(path.read_bytes()))
     except FileNotFoundError as error:
         raise CheckpointError(f"{path}: there is no such file") from error
-    except (LookupError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise CheckpointError(f"{path}: altered or damaged: {error}") from error
