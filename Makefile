@@ -13,6 +13,9 @@ TICKS ?=
 GENERATIONS ?=
 LENGTH = $(if $(TICKS),--ticks $(TICKS)) $(if $(GENERATIONS),--generations $(GENERATIONS))
 
+# Inputs of each kind for make fuzz: minutes.
+INPUTS ?= 100000
+
 # Test processes; 0 runs the tests in one process, which is easier to debug.
 WORKERS ?= 2
 
@@ -26,7 +29,7 @@ WHEEL_DIR := build/wheel
 export OMP_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help train test bench format clean
+.PHONY: help train test bench fuzz format clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' Makefile
@@ -47,6 +50,9 @@ test: $(VENV)/test.stamp ## check everything: style, types, layers, wheel, tests
 
 bench: $(VENV)/bench.stamp ## measure what the parts cost, minutes for each row; results in docs/benchmarks.md
 	$(BIN)/python -m benchmarks --save
+
+fuzz: $(VENV)/test.stamp ## read INPUTS mutated genomes, scenarios, configurations and checkpoints, each
+	$(BIN)/python -m benchmarks.fuzz --inputs $(INPUTS)
 
 format: $(VENV)/test.stamp ## mend style and order of imports
 	$(BIN)/ruff check --fix .

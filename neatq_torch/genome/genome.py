@@ -225,7 +225,7 @@ class Genome:
         """Return the genome that `to_dict` wrote; GenomeError names a bad key or gene."""
         try:
             file = msgspec.convert(data, GenomeFile)
-        except msgspec.ValidationError as error:
+        except (msgspec.ValidationError, UnicodeError) as error:  # of half a character
             raise GenomeError(f"expected a neatq-genome of version 1: {error}.") from error
         genes = msgspec.structs.astuple(file.nodes) + msgspec.structs.astuple(file.links)
         columns = dict(zip(COLUMNS, genes, strict=True))

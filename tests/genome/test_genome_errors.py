@@ -76,6 +76,7 @@ BAD: dict[str, tuple[Edit, str]] = {
         put("links", "innovation", 4, 2**63),
         r"Expected `int` <= 9223372036854775807 - at `\$.links.innovation\[4\]`",
     ),
+    "half a character": (put("links", "enabled", 0, "\ud800"), "surrogates not allowed"),
     "genome id too large": (
         add(genome_id=2**63),
         r"Expected `int` <= 9223372036854775807 - at `\$.genome_id`",

@@ -278,7 +278,9 @@ class RunConfig:
             if unknown:
                 raise ConfigError(f"configuration: unknown {', '.join(sorted(unknown))}")
             return RunConfig(**parts | _read(_Scalars, scalars, "run").__dict__)
-        except (LookupError, TypeError, AttributeError) as error:
+        except ConfigError:
+            raise
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"configuration: damaged, or of another version ({error})") from error
 
 
