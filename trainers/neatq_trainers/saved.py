@@ -17,7 +17,7 @@ from neatq_torch.checkpoint import CheckpointError
 from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.run import State
 
-_KINDS = {
+_SAVED_PARTS = {
     "config": dict,
     "runs": list,
     "track": np.ndarray,
@@ -35,7 +35,7 @@ def check_saved(path: Path, state: State, config: RunConfig) -> None:
         CheckpointError: Naming the part that is missing or of another kind.
     """
     with restoring(path):
-        for name, kind in _KINDS.items():
+        for name, kind in _SAVED_PARTS.items():
             if not isinstance(state[name], kind):
                 raise TypeError(f"{name} is no {kind}")
         runs, track = state["runs"], state["track"]
