@@ -94,7 +94,10 @@ def _restore(run: Run, state: State) -> None:
     # A user's own parts know best what they have saved.
     own = {name for name, part in parts.items() if type(part).__module__.startswith("neatq_")}
     own |= set() if isinstance(run.config.world, EnvConfig) else {"world"}
-    check_form(state, {name: one for name, one in run.state_dict().items() if name in own})
+    for name, fresh in run.state_dict().items():
+        if name in own:
+            columns = name in ("policy", "learner")
+            check_form(state[name], fresh, columns=columns, where=f".{name}")
     run.tick = state["tick"]
     run.policy.load_state_dict(state["policy"])
     run.learner.load_state_dict(state["learner"])

@@ -53,10 +53,17 @@ def _plain(value: Any) -> Any:
     return value.detach().numpy() if isinstance(value, Tensor) else value
 
 
-def check_form(saved: Any, fresh: Any, where: str = "") -> None:
+def check_form(saved: Any, fresh: Any, *, columns: bool, where: str = "") -> None:
     """Check that what was saved has the form of what has just begun, and may take its place.
 
     An array of no entries stands for one that grows, an empty list or object for any, None for all.
+
+    Args:
+        saved: What was saved.
+        fresh: What `state_dict` gave before anything happened.
+        columns: Whether the last dimension of arrays may differ: those of networks have as many
+            entries there as the largest so far needed.
+        where: The path by which messages call it.
 
     Raises:
         ValueError: Naming the first part that is missing, or of another type or shape.
@@ -65,14 +72,13 @@ def check_form(saved: Any, fresh: Any, where: str = "") -> None:
     if isinstance(fresh, np.ndarray):
         right = isinstance(saved, np.ndarray) and saved.dtype == fresh.dtype
         right = right and saved.ndim == fresh.ndim
-        # Those of networks end with as many entries as the largest so far needed.
-        columns = fresh.ndim > 1 and saved.shape[:-1] == fresh.shape[:-1]
-        right = right and (fresh.size == 0 or columns or saved.shape == fresh.shape)
+        rows = slice(-1 if columns and fresh.ndim > 1 else None)
+        right = right and (fresh.size == 0 or saved.shape[rows] == fresh.shape[rows])
     elif isinstance(fresh, dict | list):
         items = list(fresh.items()) if isinstance(fresh, dict) else list(enumerate(fresh))
         right = isinstance(saved, type(fresh)) and len(saved) >= len(items)
         for name, value in items if right else ():
-            check_form(saved[name], value, f"{where}.{name}")
+            check_form(saved[name], value, columns=columns, where=f"{where}.{name}")
     elif isinstance(fresh, float):
         right = isinstance(saved, int | float)
     else:
