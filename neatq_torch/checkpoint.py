@@ -122,7 +122,7 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     except MemoryError as error:
         raise CheckpointError(f"{path}: too large for the memory of this machine") from error
     try:
-        arrays = {name: _array(data) for name, data in _members(content).items()}
+        arrays = {name: _read_array(data) for name, data in _members(content).items()}
         digest = arrays.pop("digest", None)
         if digest is not None and digest.tobytes() != _digest(arrays):
             raise ValueError("its content is not that of its digest")
@@ -148,7 +148,7 @@ def _members(content: bytes) -> dict[str, bytes]:
         return {name: archive.read(one) for name, one in zip(names, members, strict=True)}
 
 
-def _array(data: bytes) -> np.ndarray:
+def _read_array(data: bytes) -> np.ndarray:
     """The array of an `.npy` file of version 1.0, as numpy writes it; without objects."""
     file = io.BytesIO(data)
     with warnings.catch_warnings():

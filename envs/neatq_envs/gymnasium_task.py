@@ -21,6 +21,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces.utils import flatten_space
 
 from neatq_envs.actions import MOST_WHOLE_NUMBERS, ActionPart, action_parts, own_actions
+from neatq_envs.checks import from_json
 from neatq_envs.observations import (
     MOST_OBSERVATIONS,
     flat,
@@ -28,8 +29,6 @@ from neatq_envs.observations import (
     holds_images,
     raised_by_environment,
 )
-
-from neatq_envs.checks import from_json
 
 PREFIX = "gym:"
 
