@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import io
 import json
-import resource
 import sys
 import time
 import zipfile
@@ -265,6 +264,8 @@ def fuzz(kind: str, inputs: range, seed: int, folder: Path) -> Outcome:
 def bound_memory() -> None:
     """Let the process have only so much more than it has now."""
     if sys.platform == "linux":
+        import resource
+
         used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         _, hard = resource.getrlimit(resource.RLIMIT_AS)
         resource.setrlimit(resource.RLIMIT_AS, (used + MEGABYTES * 2**20, hard))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="its user folders are found otherwise")
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
     "neatq_torch",
