@@ -63,7 +63,7 @@ def save_checkpoint(path: Path | str, state: dict[str, Any], *, observation_sche
     if len(arrays) > _MOST_ARRAYS:
         raise ValueError(f"expected at most {_MOST_ARRAYS:,} arrays, got {len(arrays):,}")
     arrays["manifest"] = np.frombuffer(manifest.encode(), np.uint8)
-    arrays["digest"] = np.frombuffer(_digest(arrays), np.uint8)
+    arrays["digest"] = np.frombuffer(_content_digest(arrays), np.uint8)
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
     write_atomic(path, buffer.getvalue())
@@ -124,7 +124,7 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     try:
         arrays = {name: _read_array(data) for name, data in _members(content).items()}
         digest = arrays.pop("digest", None)
-        if digest is not None and digest.tobytes() != _digest(arrays):
+        if digest is not None and digest.tobytes() != _content_digest(arrays):
             raise ValueError("its content is not that of its digest")
     except Exception as error:  # zipfile and numpy raise a dozen kinds over damaged bytes
         raise CheckpointError(f"{path}: truncated, altered or damaged ({error!r})") from error
@@ -162,7 +162,7 @@ def _read_array(data: bytes) -> np.ndarray:
     return np.ndarray(shape, dtype, data, file.tell(), order=order).copy(order)
 
 
-def _digest(arrays: Mapping[str, np.ndarray]) -> bytes:
+def _content_digest(arrays: Mapping[str, np.ndarray]) -> bytes:
     sha = hashlib.sha256()
     for name, array in arrays.items():
         sha.update(f"{name} {array.dtype.str} {array.shape} ".encode())
