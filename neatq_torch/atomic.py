@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -39,3 +41,13 @@ def write_atomic(path: Path | str, content: bytes | str) -> None:
         if isinstance(error, OSError):
             error.filename, error.filename2 = str(path), None
         raise
+
+
+def leftovers(folder: Path | str, names: Iterable[str]) -> list[Path]:
+    """Temporary files of writes to files of these names that were killed.
+
+    Only for a folder in which nobody writes now.
+    """
+    known = "|".join(map(re.escape, names))
+    temporary = re.compile(rf"\.({known})\.[0-9a-f]{{8}}")
+    return [one for one in sorted(Path(folder).iterdir()) if temporary.fullmatch(one.name)]

@@ -7,10 +7,27 @@ import multiprocessing
 import os
 import pickle
 import signal
+import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
+
+_FOR_THE_ONE_THAT_ASKS = [
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+]
+"""Signals that a terminal or a scheduler sends to all processes of a run at once."""
+_CAUSES = {
+    "SIGSEGV": "a segmentation fault, of an environment or a library that it uses",
+    "SIGBUS": "a bus error, of an environment or for want of memory",
+    "SIGABRT": "a library gave up",
+    "SIGKILL": "killed by somebody, or by the system for want of memory: try fewer --workers",
+}
+
+
+class ProcessEnded(RuntimeError):
+    """A process ended that had work to do; the message says how."""
 
 
 class Remote:
@@ -24,7 +41,8 @@ class Remote:
         context = multiprocessing.get_context("spawn")
         self._pipe, far_end = context.Pipe()
         self._process = context.Process(target=_serve, args=(far_end,), daemon=True)
-        self._process.start()
+        with _signals_blocked():
+            self._process.start()
         far_end.close()
         self._send((make, arguments))
 
@@ -33,14 +51,13 @@ class Remote:
         self._send((method, arguments))
 
     def answer(self) -> Any:
-        """What the earliest call under way returns or raises; `RuntimeError` with no process."""
+        """What the earliest call under way returns or raises; `ProcessEnded` with no process."""
         try:
             answer = _receive(self._pipe)
         except (EOFError, ConnectionResetError) as error:
             self._process.join()
-            raise RuntimeError(
-                f"a process ended with exit code {self._process.exitcode}; what is on disk is "
-                "intact (out of memory? try fewer --workers)"
+            raise ProcessEnded(
+                f"{_end(self._process.exitcode)}; what is on disk is intact"
             ) from error
         if isinstance(answer, Exception):
             raise answer
@@ -49,7 +66,7 @@ class Remote:
     def close(self) -> None:
         """End the process."""
         self._pipe.close()
-        self._process.terminate()
+        self._process.kill()  # it has nothing to tidy up, and an environment may ignore SIGTERM
         self._process.join()
 
     def _send(self, request: Any) -> None:
@@ -66,9 +83,53 @@ def usable_cores() -> int:
     return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
 
 
+def end_with_parent() -> None:
+    """End this process at once when the one that began it is gone, however it went."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_after, args=(parent,), daemon=True).start()
+
+
+def _end_after(parent: Any) -> None:
+    parent.join()
+    os._exit(1)
+
+
+def _end(code: int | None) -> str:
+    """How a process ended, in words."""
+    try:
+        name = signal.Signals(-(code or 0)).name
+    except ValueError:  # no signal
+        return f"a process ended with exit code {code}"
+    return f"a process ended with exit code {code} ({name}: {_CAUSES.get(name, 'a signal')})"
+
+
+@contextmanager
+def _signals_blocked() -> Iterator[None]:
+    """A process that begins inside gets no signals before it has said what it does with them."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows has none
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _FOR_THE_ONE_THAT_ASKS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _leave_signals_to_parent() -> None:
+    # Not SIG_IGN but for Ctrl-C: programs that an environment begins would inherit it.
+    for number in _FOR_THE_ONE_THAT_ASKS:
+        ignored = number == signal.SIGINT
+        signal.signal(number, signal.SIG_IGN if ignored else lambda *_: None)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _FOR_THE_ONE_THAT_ASKS)
+
+
 def _serve(pipe: Connection) -> None:
     """Do what the other end of the pipe asks for, until it closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asks
+    _leave_signals_to_parent()
+    end_with_parent()
     try:
         make, arguments = _receive(pipe)
         served = make(*arguments)

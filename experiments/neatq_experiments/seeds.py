@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import os
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from contextlib import contextmanager
@@ -18,6 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from tqdm import tqdm
 
+from neatq_envs.processes import end_with_parent
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import CHECKPOINT, RunFolderError
@@ -184,15 +183,7 @@ def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
 def _begin_process() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asks
     torch.set_num_threads(1)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """A task takes minutes: do not go on with it for somebody who was killed."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    end_with_parent()  # a task takes minutes
 
 
 def _perform(run: Callable[[SeedTask], list[Result]], task: SeedTask) -> None:

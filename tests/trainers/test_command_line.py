@@ -154,7 +154,7 @@ CART_POLE = ["--task", "gym:CartPole-v1"]
         (["list", "arms"], "list: expected no arguments, got arms"),
         (
             ["trian"],
-            "expected one of train, resume, export, compare, reproduce, list; got 'trian'; see",
+            "expected one of train, resume, export, compare, reproduce, list, info; got 'trian'; see",
         ),
     ],
 )

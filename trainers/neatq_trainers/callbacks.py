@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.record.loggers import get_logger
+from torchrl.record.loggers import Logger, get_logger
 from tqdm import tqdm
 
 from neatq_trainers.metrics import DistanceRow, Row
@@ -18,6 +18,9 @@ from neatq_trainers.run import Run
 
 if TYPE_CHECKING:
     from neatq_trainers.train import Session
+
+LOGS = "logs"
+"""The folder of loggers in a run folder."""
 
 
 class Callback:
@@ -66,20 +69,30 @@ class TorchRLLogger(Callback):
     def start(self, session: Session) -> None:
         """Open the logger that the configuration asks for; it writes to the folder `logs`."""
         kind = session.config.logger or ""
-        self._logger = get_logger(kind, str(session.folder.path / "logs"), kind)
+        self._logger = get_logger(kind, str(session.folder.path / LOGS), kind)
 
     def rows(self, session: Session, rows: Sequence[Row]) -> None:
         """Log the rows, by tick or by episodes."""
         if self._logger is None or not rows:
             return
-        step = "tick" if isinstance(rows[0], DistanceRow) else "episodes"
-        for moment in sorted({getattr(row, step) for row in rows}):
-            now = [row for row in rows if getattr(row, step) == moment]
-            for name in now[0]._fields:
-                known = [value for row in now if (value := getattr(row, name)) is not None]
-                if name not in ("arena", step) and known:
-                    mean = sum(known) / len(known)
-                    self._logger.log_scalar(f"train/{name}", mean, step=moment)
+        try:
+            _log(self._logger, rows)
+            if session.config.logger == "tensorboard":
+                self._logger.experiment.flush()  # a checkpoint says how long the files are
+        except OSError as error:
+            error.filename = str(session.folder.path / LOGS)  # a full disk does not say which file
+            raise
+
+
+def _log(logger: Logger, rows: Sequence[Row]) -> None:
+    step = "tick" if isinstance(rows[0], DistanceRow) else "episodes"
+    for moment in sorted({getattr(row, step) for row in rows}):
+        now = [row for row in rows if getattr(row, step) == moment]
+        for name in now[0]._fields:
+            known = [value for row in now if (value := getattr(row, name)) is not None]
+            if name not in ("arena", step) and known:
+                mean = sum(known) / len(known)
+                logger.log_scalar(f"train/{name}", mean, step=moment)
 
 
 class ProgressBar(Callback):
@@ -94,7 +107,7 @@ class ProgressBar(Callback):
             unit=f" {unit}",
             mininterval=0.5,
             dynamic_ncols=True,
-            disable=not sys.stderr.isatty() or multiprocessing.parent_process() is not None,
+            disable=not _watched(),
         )
 
     def rows(self, session: Session, rows: Sequence[Row]) -> None:
@@ -104,6 +117,12 @@ class ProgressBar(Callback):
         self._bar.update(session.done - self._bar.n)
         if session.done >= self._bar.total:
             self._bar.close()
+
+
+def _watched() -> bool:
+    """Whether somebody looks at this process; a daemon has no stderr at all."""
+    terminal = sys.stderr is not None and sys.stderr.isatty()
+    return terminal and multiprocessing.parent_process() is None
 
 
 def words(rows: Sequence[Row]) -> str:

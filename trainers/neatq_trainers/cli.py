@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import os
+import shlex
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 _COMMANDS = {
     "train": ("neatq_trainers.commands", "train_command"),
@@ -13,10 +18,11 @@ _COMMANDS = {
     "compare": ("neatq_experiments.command", "compare_command"),
     "reproduce": ("neatq_experiments.command", "reproduce_command"),
     "list": ("neatq_trainers.commands", "list_command"),
+    "info": ("neatq_trainers.info", "info_command"),
 }
 """Where the function of each command is."""
 
-_USAGE = """usage: neatq {train,resume,export,compare,reproduce,list} ...
+_USAGE = """usage: neatq {train,resume,export,compare,reproduce,list,info} ...
 
 Neuroevolution that learns during life, on robots in an arena, on any Gymnasium task and in worlds
 of your own.
@@ -27,6 +33,7 @@ of your own.
   neatq compare    run arms beside each other on tasks         (neatq compare --list)
   neatq reproduce  run a published experiment                  (neatq reproduce list)
   neatq list       say which tasks, arms, populations and learners there are
+  neatq info       say which versions run on which machine, for reports of faults
 
 Examples: neatq train --task wall --arm neatq --ticks 70000 --seed 0 --out runs/first
           neatq train --task gym:CartPole-v1 --arm neat
@@ -34,7 +41,8 @@ Examples: neatq train --task wall --arm neatq --ticks 70000 --seed 0 --out runs/
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status (2 for bad input, 130 after Ctrl-C)."""
+    """Run the command line; returns the exit status: 2 for bad input, 130 after Ctrl-C."""
+    _open_standard_streams()
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_USAGE, end="")
@@ -47,9 +55,43 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         return 2
     module, name = _COMMANDS[arguments[0]]
-    command = getattr(importlib.import_module(module), name)
-    run_command = importlib.import_module("neatq_trainers.commands").run_command
+    with _stopping_at_once(arguments):
+        command = getattr(importlib.import_module(module), name)
+        run_command = importlib.import_module("neatq_trainers.commands").run_command
     return run_command(command, arguments[1:])
+
+
+def _open_standard_streams() -> None:
+    """Where a daemon or pythonw has closed stdin, stdout or stderr, let them lead nowhere.
+
+    Else the next file that is opened gets the number of stderr, and what libraries write there.
+    """
+    while (opened := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(opened)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+
+
+@contextmanager
+def _stopping_at_once(arguments: Sequence[str]) -> Iterator[None]:
+    """Ctrl-C ends the process with a line: imports would turn it into errors of their own."""
+
+    def stop(*_: object) -> None:
+        again = shlex.join(["neatq", *arguments])
+        print(f"neatq: stopped before it began; begin with: {again}", file=sys.stderr, flush=True)
+        os._exit(130)
+
+    ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not ours or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 if __name__ == "__main__":

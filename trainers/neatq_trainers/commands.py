@@ -18,6 +18,7 @@ import tyro
 
 from neatq_envs.episodes import EpisodeError
 from neatq_envs.gymnasium_task import TaskError, assignments
+from neatq_envs.processes import ProcessEnded
 from neatq_envs.scenario import TASKS, ScenarioError
 from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.evolution import population_kinds
@@ -30,37 +31,53 @@ from neatq_trainers.config import LENGTHS
 from neatq_trainers.effects import refuse_without_effect
 from neatq_trainers.folder import CHECKPOINT, FILES, RunFolder
 from neatq_trainers.options import chosen_names, options_of, refuse_strangers, with_options
+from neatq_trainers.signals import Terminated
 from neatq_trainers.worlds import env_kinds
 
 Command = TypeVar("Command")
+_STOPS = (KeyboardInterrupt, Terminated, EpisodeError, ProcessEnded, MemoryError, OSError)
+"""What stops a run that can go on."""
 
 
 def run_command(command: Callable[[list[str]], None], arguments: list[str]) -> int:
     """Run a command; returns the exit status of the process."""
-    torch.set_num_threads(1)  # small tensors: a second thread only gets in the way
-    gc.freeze()  # the garbage collector need not look through torch again and again
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal that knows no ± gets a ?
     try:
+        torch.set_num_threads(1)  # small tensors: a second thread only gets in the way
+        gc.freeze()  # the garbage collector need not look through torch again and again
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors="replace")  # a terminal that knows no ± gets a ?
         command(arguments)
-    except (ConfigError, TaskError, ScenarioError, CheckpointError, GenomeError) as error:
-        return _fail(str(error))
-    except EpisodeError as error:
-        return _fail(str(error))
-    except BrokenPipeError:  # whoever read the output has read enough
-        return 0
-    except OSError as error:
-        return _fail(f"{error.filename or ''}: {error.strerror or error}".lstrip(": "))
-    except KeyboardInterrupt as error:
-        print(f"neatq: stopped{error}", file=sys.stderr)
-        return 130
+    except BaseException as error:
+        return _status(error)
     return 0
 
 
-def _fail(message: str) -> int:
+def _status(error: BaseException, advice: str = "") -> int:
+    """Say in a line what ended a command; returns the exit status."""
+    match error:
+        case RunStopped(cause=cause, advice=advice):
+            return _status(cause, advice)
+        case ConfigError() | TaskError() | ScenarioError() | CheckpointError() | GenomeError():
+            return _fail(str(error))
+        case EpisodeError() | ProcessEnded():
+            return _fail(f"{error}{advice}")
+        case MemoryError():
+            return _fail(f"out of memory; try fewer --workers or --arenas{advice}", 1)
+        case BrokenPipeError():  # whoever read the output has read enough
+            return 0
+        case OSError():
+            where = f"{error.filename}: " if error.filename else ""
+            return _fail(f"{where}{error.strerror or error}{advice}")
+        case KeyboardInterrupt() | Terminated():
+            print(f"neatq: stopped{advice}", file=sys.stderr)
+            return 130 if isinstance(error, KeyboardInterrupt) else int(error.code or 0)
+    raise error
+
+
+def _fail(message: str, status: int = 2) -> int:
     print(f"neatq: error: {message}", file=sys.stderr)
-    return 2
+    return status
 
 
 def train_command(arguments: list[str]) -> None:
@@ -137,17 +154,22 @@ def list_command(arguments: list[str]) -> None:
             print(f"  {name:10}  {says.partition(chr(10))[0]}")
 
 
+class RunStopped(Exception):
+    """Something stopped a run, with what to type to go on with it."""
+
+    def __init__(self, cause: BaseException, advice: str) -> None:
+        self.cause, self.advice = cause, advice
+
+
 @contextmanager
 def _saying_how_to_go_on(out: Path) -> Iterator[None]:
     """Add to what stopped a run what to type to go on with it; it is in folder `out`."""
     try:
         yield
-    except (KeyboardInterrupt, EpisodeError) as error:
+    except _STOPS as error:
         begun = (out / CHECKPOINT).is_file()
         advice = f"; go on with: neatq resume {shlex.quote(str(out))}" if begun else ""
-        if isinstance(error, EpisodeError):
-            raise EpisodeError(f"{error}{advice}") from error
-        raise KeyboardInterrupt(advice) from error
+        raise RunStopped(error, advice) from error
 
 
 def parse(command: type[Command], name: str, arguments: Sequence[str]) -> Command:

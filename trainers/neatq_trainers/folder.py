@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shlex
 import zlib
 from collections import deque
@@ -15,13 +16,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from neatq_envs.random_play import EnvFacts
-from neatq_torch.atomic import write_atomic
+from neatq_torch.atomic import leftovers, write_atomic
 from neatq_torch.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from neatq_torch.genome import Genome, load_genome, save_genome
 from neatq_torch.json_text import parse_json
 from neatq_torch.kinds import ConfigError
+from neatq_trainers.callbacks import LOGS
 from neatq_trainers.config import LENGTHS, RunConfig
-from neatq_trainers.metrics import Row, csv_line, header, row_kind
+from neatq_trainers.lock import HOLDER, LOCK, RunFolderError
+from neatq_trainers.metrics import DistanceRow, ReturnRow, Row, csv_line, header, row_kind
 from neatq_trainers.run import State
 from neatq_trainers.saved import check_saved
 from neatq_trainers.workers import Snapshot
@@ -36,19 +39,16 @@ PATHS, TEAM, FILM = "arena.png", "team.gif", "champion.gif"
 SCALING, RESULT = "scaling.json", "result.json"
 FILES = (METRICS, CURVES, PATHS, TEAM, CHAMPION, SCALING, RESULT, PICTURE, FILM)
 """What a run may leave, in the order in which it is told."""
+_WRITTEN = (CONFIG, CHECKPOINT, *FILES)
 
 Columns = dict[str, np.ndarray]
-
-
-class RunFolderError(ConfigError):
-    """A folder cannot be used for a run."""
 
 
 class RunFolder:
     """A run on disk: what `train`, `resume` and `load_run` give.
 
-    `metrics.csv` grows by whole lines; the checkpoint says how long it was, so that a run that goes
-    on first cuts off what came later. All other files are replaced as a whole.
+    `metrics.csv` and the files of loggers grow; the checkpoint says how long they were, so that a
+    run that goes on first cuts off what came later. All other files are replaced as a whole.
 
     Attributes:
         path: The folder; also `folder`.
@@ -82,24 +82,18 @@ class RunFolder:
             RunFolderError: If there is something in it.
             OSError: If it cannot be written.
         """
+        check_new(path)
         folder = RunFolder(path, config)
-        if path.exists() and (not path.is_dir() or any(path.iterdir())) and not folder._unbegun():
-            instead = "choose another --out"
-            if (path / CHECKPOINT).is_file():
-                command = f"neatq resume {shlex.quote(str(path))}"
-                instead += f", or go on with the run in it: {command}"
-            raise RunFolderError(f"{path}: exists and is not empty; {instead}")
         path.mkdir(parents=True, exist_ok=True)
+        folder.remove_leftovers()
         folder._write_config()
         write_atomic(path / METRICS, folder._header)
         return folder
 
-    def _unbegun(self) -> bool:
-        """Whether the folder holds only what `create` wrote: a run that failed before a row."""
-        if not self.path.is_dir() or {one.name for one in self.path.iterdir()} - {CONFIG, METRICS}:
-            return False
-        metrics = self.path / METRICS
-        return not metrics.exists() or metrics.read_bytes() == self._header.encode()
+    def remove_leftovers(self) -> None:
+        """Remove temporary files of writes that were killed; nobody may train in the folder."""
+        for temporary in leftovers(self.path, _WRITTEN):
+            temporary.unlink(missing_ok=True)
 
     def load(self, **length: int | None) -> State:
         """What the checkpoint holds; the folder's other files are cut back to that moment.
@@ -116,22 +110,29 @@ class RunFolder:
                 folder's other files.
         """
         state = self.read()
-        given = {unit: value for unit, value in length.items() if value is not None}
-        if given:
-            done = {unit: state["done"][unit] for unit in given}
-            config = replace(self.config, **dict.fromkeys(LENGTHS) | given)
-            for unit, value in given.items():
-                if value < done[unit]:
-                    raise RunFolderError(
-                        f"{unit}: the run in {self.path} has {done[unit]} already, got {value}; "
-                        "give more, or begin a new run with another --out"
-                    )
-            self.config = config
+        config = self._with_length(**length)
+        for unit, value in length.items():
+            if value is not None and value < state["done"][unit]:
+                raise RunFolderError(
+                    f"{unit}: the run in {self.path} has {state['done'][unit]} already, got "
+                    f"{value}; give more, or begin a new run with another --out"
+                )
         self._cut_metrics(state["metrics_bytes"], state["metrics_crc"])
-        if given:
+        self._cut_logs(state.get("logs"))
+        if config != self.config:
+            self.config = config
             self._write_config()
         self.track = deque([state["track"]] if state["track"].size else [])
         return state
+
+    def is_finished(self, **length: int | None) -> bool:
+        """Whether the run is as long as it shall be, as far as its checkpoint tells."""
+        unit, total = self._with_length(**length).length
+        return self.read()["done"][unit] >= total
+
+    def _with_length(self, **length: int | None) -> RunConfig:
+        given = {unit: value for unit, value in length.items() if value is not None}
+        return replace(self.config, **dict.fromkeys(LENGTHS) | given) if given else self.config
 
     def read(self) -> State:
         """What the checkpoint holds; nothing in the folder changes."""
@@ -200,6 +201,7 @@ class RunFolder:
             "done": done,
             "metrics_bytes": self._bytes,
             "metrics_crc": self._crc,
+            "logs": {name: path.stat().st_size for name, path in self._logs().items()},
         }
         schema = self.config.world.schema
         save_checkpoint(self.path / CHECKPOINT, state, observation_schema=schema)
@@ -271,8 +273,49 @@ class RunFolder:
         write_atomic(path, content)
         self._bytes, self._crc = length, crc
 
+    def _logs(self) -> dict[str, Path]:
+        """The files of loggers, by their paths in the folder."""
+        files = sorted(path for path in (self.path / LOGS).rglob("*") if path.is_file())
+        return {path.relative_to(self.path).as_posix(): path for path in files}
+
+    def _cut_logs(self, sizes: dict[str, int] | None) -> None:
+        """Cut the files of loggers back; checkpoints of earlier releases do not tell how long."""
+        if sizes is None:
+            return
+        for name, path in self._logs().items():
+            if name not in sizes:
+                path.unlink()
+            elif path.stat().st_size > sizes[name]:
+                os.truncate(path, sizes[name])
+
     def _write_config(self) -> None:
         write_atomic(self.path / CONFIG, json.dumps(self.config.to_dict(), indent=2) + "\n")
+
+
+def check_new(path: Path) -> None:
+    """Check that a run can begin in a folder.
+
+    Raises:
+        RunFolderError: If there is more in it than a run leaves that was killed before its first
+            checkpoint.
+    """
+    if not path.exists() or (path.is_dir() and _unbegun(path)):
+        return
+    instead = "choose another --out"
+    if (path / CHECKPOINT).is_file():
+        command = f"neatq resume {shlex.quote(str(path))}"
+        instead += f", or go on with the run in it: {command}"
+    raise RunFolderError(f"{path}: exists and is not empty; {instead}")
+
+
+def _unbegun(path: Path) -> bool:
+    """Whether a folder holds nothing but what a run writes before its first checkpoint."""
+    early = {CONFIG, METRICS, LOCK, HOLDER, *(one.name for one in leftovers(path, _WRITTEN))}
+    if {one.name for one in path.iterdir()} - early:
+        return False
+    metrics = path / METRICS
+    headers = [header(kind).encode() for kind in (DistanceRow, ReturnRow)]
+    return not metrics.exists() or metrics.read_bytes() in headers
 
 
 def life_ticks(config: RunConfig) -> int:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,11 +26,13 @@ from neatq_trainers.callbacks import (
 )
 from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.effects import refuse_without_effect
-from neatq_trainers.folder import RunFolder, load_run
+from neatq_trainers.folder import RunFolder, check_new, load_run
+from neatq_trainers.lock import RunFolderError, locked
 from neatq_trainers.loop import Stride
 from neatq_trainers.metrics import Row
 from neatq_trainers.names import file_name
 from neatq_trainers.run import Champion
+from neatq_trainers.signals import calling_on_signal, ending_by_signals, raise_for
 from neatq_trainers.workers import Worker, fitting_workers, open_workers
 from neatq_trainers.worlds import GymnasiumConfig, GymnasiumWorld, facts_of, make_world
 
@@ -59,6 +60,10 @@ class Session:
     lengths: dict[str, int] = field(default_factory=lambda: dict.fromkeys(LENGTHS, 0))
     stop: bool = False
     wants_checkpoint: bool = False
+
+    def end_soon(self) -> None:
+        """End the training in order, as `stop` does."""
+        self.stop = True
 
     @property
     def done(self) -> int:
@@ -111,7 +116,9 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
         ConfigError: If the run cannot be made as asked, or the folder is in use.
         TaskError: If the environment cannot be used.
         EpisodeError: If an environment fails; `resume` goes on from the last checkpoint.
-        KeyboardInterrupt: After Ctrl-C; `resume` goes on.
+        ProcessEnded: If a worker dies; `resume` goes on, as after the next two.
+        KeyboardInterrupt: After Ctrl-C.
+        SystemExit: After SIGTERM or SIGHUP, with 128 and the signal's number.
 
     Example:
         >>> run = train("gym:CartPole-v1", arm="neat", generations=10)
@@ -135,13 +142,18 @@ def start(
 ) -> RunFolder:
     """Make a run folder and train in it from the beginning; see `train`."""
     path = default_folder(config) if out is None else Path(out)
+    check_new(path)
     count = _checked(workers, config)
-    discount = getattr(config.learner, "discount", 0.99)
-    facts = facts_of(config.world, discount, apart=count > 1)
     parts = config.split(min(count, config.arenas))
     everybody = [kind() for kind in BUILT_IN] + list(callbacks)
-    with open_workers(parts, [None] * len(parts), facts, everybody, count) as team:
+    with ending_by_signals(), ExitStack() as stack:
+        discount = getattr(config.learner, "discount", 0.99)
+        facts = facts_of(config.world, discount, apart=count > 1)
+        states = [None] * len(parts)
+        team = stack.enter_context(open_workers(parts, states, facts, everybody, count))
         begun = [worker.snapshot() for worker in team]  # what cannot be built leaves no folder
+        path.mkdir(parents=True, exist_ok=True)
+        stack.enter_context(locked(path))
         session = Session(config=config, folder=RunFolder.create(path, config), facts=facts)
         session.folder.save(begun, facts, session.lengths)
         if facts is not None and not facts.repeatable:
@@ -175,20 +187,46 @@ def resume(
         callbacks: Called while it trains.
 
     Raises:
-        RunFolderError: If there is no run in the folder, or it is longer than that already.
+        RunFolderError: If there is no run in the folder, it is longer than that already, another
+            process trains in it, or it cannot be written and the run is not finished.
         CheckpointError: If the run is damaged.
 
     Example:
         >>> resume("runs/wall-neatq-seed0", ticks=100_000)
     """
-    folder = load_run(path)
-    state = folder.load(ticks=ticks, steps=steps, generations=generations)
-    config, states = folder.config, state["runs"]
-    facts = None if state["facts"] is None else EnvFacts.from_dict(state["facts"])
-    parts, everybody = config.split(len(states)), [kind() for kind in BUILT_IN] + list(callbacks)
-    with open_workers(parts, states, facts, everybody, _checked(workers, config)) as team:
+    folder, length = load_run(path), {"ticks": ticks, "steps": steps, "generations": generations}
+    with ending_by_signals(), ExitStack() as stack:
+        try:
+            stack.enter_context(locked(folder.path))
+        except OSError as error:
+            return _read_only(folder, length, error)
+        folder = load_run(path)  # as whoever trained in it has left it
+        folder.remove_leftovers()
+        state = folder.load(**length)
+        config, states, parts = (
+            folder.config,
+            state["runs"],
+            folder.config.split(len(state["runs"])),
+        )
+        facts = None if state["facts"] is None else EnvFacts.from_dict(state["facts"])
+        everybody, count = (
+            [kind() for kind in BUILT_IN] + list(callbacks),
+            _checked(workers, config),
+        )
+        team = stack.enter_context(open_workers(parts, states, facts, everybody, count))
         session = Session(config=config, folder=folder, facts=facts, lengths=state["done"])
         _train(session, team, everybody)
+    return folder
+
+
+def _read_only(folder: RunFolder, length: Mapping[str, int | None], error: OSError) -> RunFolder:
+    """A run that is finished needs no folder that can be written."""
+    if not folder.is_finished(**length):
+        raise RunFolderError(
+            f"{folder.path}: cannot be written ({error.strerror}), and its run is not finished; "
+            "copy the folder to where you may write, and resume it there"
+        ) from error
+    folder.notes.append("the run is finished; the folder cannot be written and stays as it is")
     return folder
 
 
@@ -209,6 +247,7 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
 
     Raises:
         KeyboardInterrupt: If Ctrl-C stopped it; what it has so far is in the folder.
+        Terminated: If SIGTERM or SIGHUP did.
     """
     unit, total = session.config.length
     # Only ticks are known before they are over, and not where a stride is a generation.
@@ -217,7 +256,7 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
     under_way, unsaved = 0, False
     for callback in callbacks:
         callback.start(session)
-    with _stop_on_interrupt(session) as interrupted:
+    with calling_on_signal(session.end_soon) as signals:
         while True:
             pausing = session.stop or (session.wants_checkpoint and unsaved)
             if not pausing and under_way < ahead and session.done + under_way * stride < total:
@@ -235,8 +274,8 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
                     callback.checkpoint(session)
                 if session.stop or session.done >= total:
                     break
-    if session.done < total and interrupted:
-        raise KeyboardInterrupt
+    if session.done < total and signals:
+        raise_for(signals[0])
     _test(session, [one for part in snapshots for one in part.champions])
     for callback in callbacks:
         callback.end(session)
@@ -320,27 +359,3 @@ def summary(returns: np.ndarray) -> dict[str, float | int]:
     """Mean and standard error over episodes [episodes]."""
     error = float(returns.std(ddof=1) / np.sqrt(returns.size)) if returns.size > 1 else 0.0
     return {"mean": float(returns.mean()), "standard_error": error, "episodes": returns.size}
-
-
-@contextmanager
-def _stop_on_interrupt(session: Session) -> Iterator[list[bool]]:
-    """Turn the first Ctrl-C into a request to stop in order; a second one interrupts.
-
-    Yields a list that is empty until then.
-    """
-    interrupted: list[bool] = []
-
-    def request(*_: object) -> None:
-        interrupted.append(True)
-        session.stop = True
-        signal.signal(signal.SIGINT, previous)
-
-    try:
-        previous = signal.signal(signal.SIGINT, request)
-    except ValueError:  # only the main thread may handle signals
-        yield interrupted
-        return
-    try:
-        yield interrupted
-    finally:
-        signal.signal(signal.SIGINT, previous)

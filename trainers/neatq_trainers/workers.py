@@ -18,6 +18,7 @@ from neatq_envs.random_play import EnvFacts
 from neatq_torch.genome import Genome
 from neatq_trainers.build import build
 from neatq_trainers.callbacks import Callback
+from neatq_trainers.compiling import CompilingTold
 from neatq_trainers.config import RunConfig
 from neatq_trainers.loop import Stride, strides
 from neatq_trainers.run import Champion, State
@@ -54,7 +55,10 @@ class LocalWorker:
         facts: EnvFacts | None,
         callbacks: Sequence[Callback],
         workers: int = 1,
+        *,
+        tells: bool = True,
     ) -> None:
+        self._compiling = CompilingTold() if tells else None
         self._run = build(config, state, facts=facts, workers=workers)
         self._strides = strides(self._run, callbacks)
 
@@ -63,7 +67,9 @@ class LocalWorker:
 
     def finish(self) -> Stride:
         """What came of the earliest stride under way."""
-        return next(self._strides)
+        stride = next(self._strides)
+        self._hear_no_more()
+        return stride
 
     def snapshot(self) -> Snapshot:
         """The run as it stands; no stride may be under way."""
@@ -72,15 +78,25 @@ class LocalWorker:
 
     def close(self) -> None:
         """Close what training has opened."""
+        self._hear_no_more()
         self._strides.close()
         self._run.world.close()
 
+    def _hear_no_more(self) -> None:
+        if self._compiling is not None:
+            self._compiling.close()
+            self._compiling = None
+
 
 def _in_process(
-    config: RunConfig, state: State | None, facts: EnvFacts | None, callbacks: Sequence[Callback]
+    config: RunConfig,
+    state: State | None,
+    facts: EnvFacts | None,
+    callbacks: Sequence[Callback],
+    tells: bool,
 ) -> LocalWorker:
     torch.set_num_threads(1)
-    return LocalWorker(config, state, facts, callbacks)
+    return LocalWorker(config, state, facts, callbacks, tells=tells)
 
 
 class ProcessWorker(Remote):
@@ -92,8 +108,9 @@ class ProcessWorker(Remote):
         state: State | None,
         facts: EnvFacts | None,
         callbacks: Sequence[Callback],
+        tells: bool,
     ) -> None:
-        super().__init__(_in_process, config, state, facts, callbacks)
+        super().__init__(_in_process, config, state, facts, callbacks, tells)
 
     def begin(self) -> None:
         """Ask for a stride."""
@@ -128,7 +145,8 @@ def open_workers(
             if len(parts) == 1:
                 opened.append(LocalWorker(config, state, facts, own, workers))
             else:
-                opened.append(ProcessWorker(config, state, facts, own))
+                first = not opened  # one of them tells what all of them do
+                opened.append(ProcessWorker(config, state, facts, own, tells=first))
             stack.callback(opened[-1].close)
         yield opened
 
