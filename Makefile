@@ -19,6 +19,9 @@ INPUTS ?= 100000
 # Test processes; 0 runs the tests in one process, which is easier to debug.
 WORKERS ?= 2
 
+# How often `make soak` kills: an hour or less for each hundred.
+KILLS ?= 50
+
 VENV := .venv
 # Windows has its programs elsewhere.
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
@@ -29,7 +32,7 @@ WHEEL_DIR := build/wheel
 export OMP_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help train test bench fuzz format clean
+.PHONY: help train test bench fuzz soak format clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' Makefile
@@ -53,6 +56,9 @@ bench: $(VENV)/bench.stamp ## measure what the parts cost, minutes for each row;
 
 fuzz: $(VENV)/test.stamp ## read INPUTS mutated genomes, scenarios, configurations and checkpoints, each
 	$(BIN)/python -m benchmarks.fuzz --inputs $(INPUTS)
+
+soak: $(VENV)/test.stamp ## kill runs at random moments, KILLS times, and compare with runs that nobody killed
+	$(BIN)/python -m benchmarks.soak --kills $(KILLS)
 
 format: $(VENV)/test.stamp ## mend style and order of imports
 	$(BIN)/ruff check --fix .

@@ -59,7 +59,11 @@ class LocalWorker:
         tells: bool = True,
     ) -> None:
         self._compiling = CompilingTold() if tells else None
-        self._run = build(config, state, facts=facts, workers=workers)
+        try:
+            self._run = build(config, state, facts=facts, workers=workers)
+        except BaseException:
+            self._hear_no_more()
+            raise
         self._strides = strides(self._run, callbacks)
 
     def begin(self) -> None:
