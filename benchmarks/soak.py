@@ -133,7 +133,7 @@ def _kill(process: subprocess.Popen[str], path: Path, rng: np.random.Generator) 
     assert not alive, f"{path}: {alive} live on without their main process"
     assert "Traceback" not in error, f"{path}: {error}"
     if victim == "worker" and process.returncode:
-        assert process.returncode == 1, f"{path}: {process.returncode}: {error}"
+        assert process.returncode == 2, f"{path}: {process.returncode}: {error}"
         assert "SIGKILL" in error, f"{path}: {error}"
         if (path / CHECKPOINT).is_file():
             assert "neatq resume" in error, f"{path}: {error}"

@@ -110,6 +110,9 @@ def _signals_blocked() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):  # Windows has none
         yield
         return
+    from multiprocessing import resource_tracker  # not everywhere, either
+
+    resource_tracker.ensure_running()  # it would let signals through again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _FOR_THE_ONE_THAT_ASKS)
     try:
         yield

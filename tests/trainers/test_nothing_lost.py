@@ -263,8 +263,8 @@ def test_how_a_process_ended_is_said(end: tuple[Any, int], says: str) -> None:
 @pytest.mark.parametrize(
     ("error", "status", "says"),
     [
-        (ProcessEnded("a process ended"), 1, "error: a process ended; go on with: neatq resume"),
-        (MemoryError(), 1, "error: out of memory; try fewer .*; go on with: neatq resume"),
+        (ProcessEnded("a process ended"), 2, "error: a process ended; go on with: neatq resume"),
+        (MemoryError(), 2, "error: out of memory; try fewer .*; go on with: neatq resume"),
         (OSError(errno.ENOSPC, "No space left", "f"), 2, "f: No space left; go on with: neatq res"),
         (KeyboardInterrupt(), 130, "stopped; go on with: neatq resume"),
         (Terminated(143), 143, "stopped; go on with: neatq resume"),

@@ -178,7 +178,7 @@ def test_a_name_that_the_file_system_does_not_know_is_written_otherwise(
     config = preset("wall", "rtneat", env_kwargs={"name": "Übung ± 3"})
     assert default_folder(config) == Path("runs/Übung-3-rtneat-seed0")
     monkeypatch.setattr(sys, "getfilesystemencoding", lambda: "ascii")
-    assert default_folder(config) == Path("runs/-bung-3-rtneat-seed0")
+    assert default_folder(config) == Path("runs/bung-3-rtneat-seed0")
 
 
 def test_what_a_terminal_cannot_write_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:

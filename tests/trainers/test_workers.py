@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import torch
 
+from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.callbacks import Callback
 from neatq_trainers.cli import main
@@ -239,7 +240,7 @@ def test_an_error_in_a_worker_is_raised_here_with_its_traceback(config: RunConfi
     broken = {"tick": 40}
     with (
         open_workers(config.split(2), [None, broken], None, [], 2) as workers,
-        pytest.raises(KeyError, match="populations") as caught,
+        pytest.raises(CheckpointError, match="populations") as caught,
     ):
         workers[1].snapshot()
     assert "_populations" in caught.value.__notes__[0]

@@ -63,7 +63,7 @@ def _status(error: BaseException, advice: str = "") -> int:
         case EpisodeError() | ProcessEnded():
             return _fail(f"{error}{advice}")
         case MemoryError():
-            return _fail(f"out of memory; try fewer --workers or --arenas{advice}", 1)
+            return _fail(f"out of memory; try fewer --workers or --arenas{advice}")
         case BrokenPipeError():  # whoever read the output has read enough
             return 0
         case OSError():
@@ -75,9 +75,9 @@ def _status(error: BaseException, advice: str = "") -> int:
     raise error
 
 
-def _fail(message: str, status: int = 2) -> int:
+def _fail(message: str) -> int:
     print(f"neatq: error: {message}", file=sys.stderr)
-    return status
+    return 2
 
 
 def train_command(arguments: list[str]) -> None:
