@@ -1,7 +1,5 @@
 """Any Gymnasium task in three lines: train, load, act (`python examples/gymnasium_task.py`)."""
 
-from __future__ import annotations
-
 import gymnasium
 import tyro
 

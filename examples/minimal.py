@@ -3,8 +3,6 @@
 Fifty robots, a wall and a flag. `nq.train` adds the run folder, checkpoints and exactness.
 """
 
-from __future__ import annotations
-
 import torch
 from torchrl.collectors import Collector
 
@@ -18,29 +16,27 @@ def main(ticks: int = 20_000, seed: int = 0) -> float:
     """Train; returns the mean distance of the team to the flag over the last batch, in units."""
     scenario = TASKS["wall"].replaced(reward="progress")
     env = ArenaEnv(scenario, arenas=1, seed=seed)
+    shape, robots = env.batch_size, scenario.robots
     low, high = env.arena.schema.action_bounds(scenario)
     heads = nq.CandidateHeads(5, low.tolist(), high.tolist())
-
     population = nq.RtNEAT.start(
         nq.RtNEATConfig(),
-        slots=scenario.robots,
+        slots=robots,
         inputs=env.observation_spec["observation"].shape[-1],
         outputs=heads.outputs,
         rng=seed,
         reward_weights=tuple(scenario.weights()),
     )
-    shape = env.batch_size
     network = nq.PopulationNetwork(population.genomes, shape=shape)  # 1 compile
     policy = nq.CandidatePolicy(network, heads, nq.EpsilonGreedy(shape, seeds=[seed], epsilon=0.01))
     loss = nq.CandidateTDLoss(nq.CandidateValue(network, heads), normalize_return=True)
     loss.make_value_estimator(gamma=0.9)
     learner = nq.TDLearner(network, loss, nq.TDConfig(learning_rate=0.01, optimizer="adam"))
-
     collector = Collector(
         env,
         policy,
-        frames_per_batch=scenario.robots * BATCH_TICKS,
-        total_frames=scenario.robots * ticks,
+        frames_per_batch=robots * BATCH_TICKS,
+        total_frames=robots * ticks,
         auto_register_policy_transforms=False,
         use_buffers=False,
     )

@@ -8,8 +8,6 @@ bold at the edge of a cliff.
 # TorchRL declares `forward` as what its decorator makes of it.
 # pyright: reportIncompatibleVariableOverride=false, reportFunctionMemberAccess=false
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 

@@ -4,8 +4,6 @@ Sledges on ice: each must come to its target and stay there. The world is an ord
 of TorchRL with rows [arenas, slots]; the trainer knows it by its name.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -38,11 +36,7 @@ class Sledges(EnvBase):
 
     def _reset(self, tensordict: TensorDict | None = None, **_: Any) -> TensorDict:
         mask = None if tensordict is None else tensordict.get("_reset", None)
-        new = (
-            torch.ones_like(self._age, dtype=torch.bool)
-            if mask is None
-            else mask.view_as(self._age)
-        )
+        new = torch.tensor(True) if mask is None else mask.view_as(self._age)
         drawn = np.stack([one.uniform(-1, 1, self._age.shape[1:]) for one in self._chance])
         self._offset = torch.where(new, torch.from_numpy(drawn).float(), self._offset)
         self._speed = torch.where(new, 0.0, self._speed)

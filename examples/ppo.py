@@ -1,13 +1,11 @@
 """PPO of TorchRL on the arena, as a script to copy: `python examples/ppo.py --help`.
 
-Fifty robots that share one network: what an ordinary trainer makes of the same world, in which
+Fifty robots that share one network: what an ordinary trainer makes of the world in which
 `neatq train` evolves fifty networks.
 """
 
-from __future__ import annotations
-
 from statistics import fmean
-from time import perf_counter
+from typing import Any
 
 import torch
 import tyro
@@ -21,18 +19,11 @@ from torchrl.objectives.value import GAE
 
 from neatq_envs import ArenaEnv, find_scenario
 
-BATCH_TICKS = 100
-EPOCHS, MINIBATCH = 4, 1000
+BATCH_TICKS, EPOCHS, MINIBATCH = 100, 4, 1000
 
 
 def main(*, task: str = "flag", steps: int = 10_000, seed: int = 0) -> float:
-    """Train; returns the mean distance of the team to the flag over the last tenth, in units.
-
-    Args:
-        task: flag, moving, wall, trap, maze, switch or the path of a scenario file.
-        steps: ticks; each is a step of every robot.
-        seed: of the world and of the networks.
-    """
+    """Train for ticks; returns the mean distance to the flag over the last tenth, in units."""
     torch.manual_seed(seed)
     env = ArenaEnv(find_scenario(task, changes={"reward": "progress"}), seed=seed)
     actor, critic = networks(env)
@@ -40,17 +31,10 @@ def main(*, task: str = "flag", steps: int = 10_000, seed: int = 0) -> float:
     advantage = GAE(gamma=0.97, lmbda=0.95, value_network=critic, average_gae=True)
     loss = ClipPPOLoss(actor, critic, clip_epsilon=0.2, entropy_coeff=0.001)
     optimizer = torch.optim.Adam(loss.parameters(), lr=1e-3)
-    robots, batches = env.batch_size.numel(), -(-steps // BATCH_TICKS)
-    frames = robots * BATCH_TICKS
-    collector = Collector(
-        env,
-        actor,
-        frames_per_batch=frames,
-        total_frames=frames * batches,
-        auto_register_policy_transforms=False,
-    )
-
-    start, distances = perf_counter(), list[float]()
+    frames, batches = env.batch_size.numel() * BATCH_TICKS, -(-steps // BATCH_TICKS)
+    asked: dict[str, Any] = {"frames_per_batch": frames, "total_frames": frames * batches}
+    collector = Collector(env, actor, auto_register_policy_transforms=False, **asked)
+    distances = list[float]()
     for number, batch in enumerate(collector, 1):
         distances.append(batch["next", "distance"].mean().item())
         for _ in range(EPOCHS):
@@ -64,8 +48,7 @@ def main(*, task: str = "flag", steps: int = 10_000, seed: int = 0) -> float:
                 nn.utils.clip_grad_norm_(loss.parameters(), 0.5)
                 optimizer.step()
         if number % 10 == 0:  # a whole life
-            distance, seconds = fmean(distances[-10:]), perf_counter() - start
-            print(f"tick {number * BATCH_TICKS:6d}  mean distance {distance:5.1f}  {seconds:.0f} s")
+            print(f"tick {number * BATCH_TICKS:6d}  mean distance {fmean(distances[-10:]):5.1f}")
     collector.shutdown()
     return fmean(distances[-max(1, batches // 10) :])
 
@@ -74,15 +57,12 @@ def networks(env: ArenaEnv) -> tuple[ProbabilisticActor, ValueOperator]:
     """Return actor and critic, which all robots share."""
     low, high = (torch.from_numpy(bound) for bound in env.arena.schema.action_bounds(env.scenario))
     seen = env.observation_spec["observation"].shape[-1]
-    size = {"in_features": seen, "num_cells": [64, 64], "activation_class": nn.Tanh}
+    size: dict[str, Any] = {"in_features": seen, "num_cells": [64, 64], "activation_class": nn.Tanh}
     policy = nn.Sequential(MLP(out_features=2 * len(low), **size), NormalParamExtractor())
-    actor = ProbabilisticActor(
-        TensorDictModule(policy, ["observation"], ["loc", "scale"]),
-        in_keys=["loc", "scale"],
-        distribution_class=TanhNormal,
-        distribution_kwargs={"low": low, "high": high},
-        return_log_prob=True,
-    )
+    module = TensorDictModule(policy, ["observation"], ["loc", "scale"])
+    drawn: dict[str, Any] = {"distribution_class": TanhNormal, "return_log_prob": True}
+    drawn["distribution_kwargs"] = {"low": low, "high": high}
+    actor = ProbabilisticActor(module, in_keys=["loc", "scale"], **drawn)
     return actor, ValueOperator(MLP(out_features=1, **size), in_keys=["observation"])
 
 
