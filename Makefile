@@ -32,7 +32,7 @@ WHEEL_DIR := build/wheel
 export OMP_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help train test bench fuzz soak format clean
+.PHONY: help train test docs bench fuzz soak format clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' Makefile
@@ -41,7 +41,7 @@ train: $(VENV)/train.stamp ## train (TASK, ARM, TICKS or GENERATIONS, ARENAS, SE
 	$(BIN)/neatq train --task $(TASK) --arm $(ARM) $(LENGTH) --arenas $(ARENAS) --seed $(SEED) \
 	    --out $(OUT)
 
-test: $(VENV)/test.stamp ## check everything: style, types, layers, wheel, tests, notebooks
+test: $(VENV)/test.stamp ## check everything: style, types, layers, wheel, site, tests, notebooks
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
@@ -50,6 +50,9 @@ test: $(VENV)/test.stamp ## check everything: style, types, layers, wheel, tests
 	$(BIN)/python -m build --wheel --no-isolation --outdir $(WHEEL_DIR)
 	$(BIN)/check-wheel-contents $(WHEEL_DIR)
 	$(BIN)/python -m pytest -n $(WORKERS)
+
+docs: $(VENV)/docs.stamp ## build the site into build/site; a broken link is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 bench: $(VENV)/bench.stamp ## measure what the parts cost, minutes for each row; results in docs/benchmarks.md
 	$(BIN)/python -m benchmarks --save
@@ -79,6 +82,10 @@ $(VENV)/train.stamp: pyproject.toml constraints.txt
 
 $(VENV)/test.stamp: $(VENV)/train.stamp
 	$(INSTALL) '.[dev]'
+	@touch $@
+
+$(VENV)/docs.stamp: $(VENV)/train.stamp
+	$(INSTALL) '.[docs]'
 	@touch $@
 
 $(VENV)/bench.stamp: $(VENV)/train.stamp

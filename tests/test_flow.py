@@ -12,7 +12,7 @@ import neatq_torch as nq
 from neatq_envs import ArenaEnv, find_scenario
 from neatq_trainers import loop
 
-README = Path(__file__).resolve().parents[1] / "README.md"
+CONCEPTS = Path(__file__).resolve().parents[1] / "docs" / "concepts.md"
 STEPS = ["compile", "act", "the world moves", "learn", "judge", "write back", "replace"]
 
 
@@ -54,8 +54,8 @@ def test_the_seven_steps() -> None:
         assert network.genome_id[newborn].item() == 7
 
 
-def test_the_readme_and_the_loop_tell_the_same_seven_steps() -> None:
-    told = re.findall(r"^\d\. \*\*(.+?)\*\*", README.read_text(encoding="utf-8"), re.MULTILINE)
+def test_the_page_and_the_loop_tell_the_same_seven_steps() -> None:
+    told = re.findall(r"^\d\. \*\*(.+?)\*\*", CONCEPTS.read_text(encoding="utf-8"), re.MULTILINE)
     numbered = re.findall(r"^(\d) ([a-z ]+?):", loop.__doc__ or "", re.MULTILINE)
     assert [one.lower() for one in told] == STEPS
     assert numbered == [(str(number), step) for number, step in enumerate(STEPS, 1)]

@@ -101,7 +101,7 @@ class EpsilonGreedy(nn.Module):
         """Start anew: tick 0, nothing held, other chance; epsilon stays.
 
         Args:
-            seeds: One seed for each arena; or one for each slot [arenas][slots], which then
+            seeds: One seed for each arena; or one for each slot, `[arenas][slots]`, which then
                 explores like the first slot of an arena with that seed.
 
         Raises:
