@@ -7,6 +7,9 @@ import operator
 from collections.abc import Callable, Iterator
 from typing import Any, get_args
 
+ARMS_PAGE, WORLDS_PAGE = "docs/arms.md", "docs/worlds.md"
+"""Where the documentation explains arms, populations and learners, and tasks."""
+
 
 class ConfigError(ValueError):
     """A run cannot be made as asked; the message says what was expected and how to mend it.
@@ -16,7 +19,7 @@ class ConfigError(ValueError):
         ...     preset("wall", "best")
         ... except ConfigError as error:
         ...     print(error)
-        arm: expected one of rtneat, ...; got 'best'
+        arm: expected one of rtneat, ...; got 'best' (explained in docs/arms.md)
     """
 
 
@@ -116,7 +119,7 @@ class Kinds:
         if own not in self._kinds:
             raise ConfigError(
                 f"{self.noun}: expected one of {', '.join(self._kinds)}, or module:name where the "
-                f"module registers it; got {name!r}"
+                f"module registers it; got {name!r} (explained in {ARMS_PAGE})"
             )
         return self._kinds[own][0]
 

@@ -26,7 +26,7 @@ The geometry of the tasks "flag", "moving" and "wall" is that of the OpenNERO so
   two it waits. 610 ticks fit evenly into neither lives of 1000 nor rows of metrics, so that lives
   begin, and rows fall, at all moments between two switches.
 
-The README tells what standing still, the straight way and a perfect robot come to on each. The
+docs/worlds.md tells what standing still, the straight way and a perfect robot come to on each. The
 shortest ways are 141, 288, 413 and 450 units long ("flag", "wall", "trap", "maze").
 """
 

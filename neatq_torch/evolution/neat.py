@@ -28,7 +28,7 @@ Child = tuple[Genome, tuple[int, ...]]
 
 @dataclass(frozen=True, kw_only=True)
 class NEATConfig:
-    """How generations follow each other; the defaults are those of the paper.
+    """Generations: all genomes are replaced at once; the defaults are those of the paper.
 
     The ablations of the paper (its section 5) are settings: without growth
     (`add_node_prob` and `add_link_prob` 0, `start` "layered"), without mating (`mutate_only_prob`

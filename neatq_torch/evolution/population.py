@@ -313,7 +313,7 @@ class Generational(Population):
 
 @dataclass(frozen=True, kw_only=True)
 class FixedConfig:
-    """What networks of fixed structure look like.
+    """Networks of fixed structure that stay: what is learnt is all that changes.
 
     Attributes:
         episodes: of a life, as in `NEATConfig`.

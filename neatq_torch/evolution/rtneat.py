@@ -23,7 +23,7 @@ from neatq_torch.kinds import check_fields
 
 @dataclass(frozen=True, kw_only=True)
 class RtNEATConfig:
-    """How a population evolves; the defaults are those of OpenNERO.
+    """One genome is replaced at a time, the others live on; the defaults are those of OpenNERO.
 
     Attributes:
         reproduction: how offspring come about.

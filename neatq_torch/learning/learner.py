@@ -134,7 +134,7 @@ class StepConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class TDConfig(StepConfig):
-    """How every network learns from its own robot's ticks.
+    """Every network learns the TD error of its own robot's ticks.
 
     Attributes:
         trace_decay: lambda of the return; 0 is one-step Q-learning, 1 the whole batch.

@@ -22,7 +22,7 @@ from neatq_torch.network import PopulationNetwork
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayConfig(StepConfig):
-    """How every network learns from what all robots of its arena did.
+    """Shared replay: every network learns from what all robots of its arena did.
 
     Attributes:
         updates: Minibatches on which every network is trained after each batch of ticks.

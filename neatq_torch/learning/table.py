@@ -19,7 +19,7 @@ from neatq_torch.learning.learner import Learner, Saved
 
 @dataclass(frozen=True, kw_only=True)
 class TableConfig:
-    """How a robot learns in a table, without a network and without evolution.
+    """A table of Q-values for each robot, without a network and without evolution.
 
     Attributes:
         learning_rate: Step size alpha.

@@ -16,7 +16,7 @@ from neatq_torch.network import PopulationNetwork, fitted
 
 @dataclass(frozen=True, kw_only=True)
 class TraceConfig:
-    """How networks learn with traces; the defaults are those of NEAT+Q on the mountain car.
+    """Q(lambda) with eligibility traces; the defaults are those of NEAT+Q on the mountain car.
 
     Attributes:
         learning_rate: Step size alpha, in units of the network outputs, see `TraceLearner`.

@@ -19,7 +19,10 @@ from typing import Any
 import pytest
 import tyro
 
+from neatq_envs import TASKS
 from neatq_torch.checkpoint import load_checkpoint
+from neatq_torch.evolution import population_kinds
+from neatq_torch.learning import learner_kinds
 from neatq_trainers import train as trainer
 from neatq_trainers.arms import ARMS, preset
 from neatq_trainers.cli import main
@@ -29,6 +32,7 @@ from neatq_trainers.options import options_of, with_options
 from neatq_trainers.train import start
 
 Say = Callable[..., tuple[int, str, str]]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
@@ -70,10 +74,13 @@ CART_POLE = ["--task", "gym:CartPole-v1"]
     [
         (
             ["train", "--task", "nope"],
-            "task: expected flag, moving, wall, trap, maze, switch,.* gym:ID .* got 'nope'",
+            "task: expected flag, moving, wall, trap, maze, switch,.* got 'nope' .*worlds.md",
         ),
-        (["train", "--arm", "nope"], "arm: expected one of rtneat, .* got 'nope'"),
-        (["train", "--population", "nope"], "population: expected one of rtneat, .* got 'nope'"),
+        (["train", "--arm", "nope"], "arm: expected one of rtneat, .* got 'nope' .*arms.md"),
+        (
+            ["train", "--population", "nope"],
+            "population: expected one of rtneat, .* 'nope' .*arms.md",
+        ),
         (["train", "--learner", "nope"], "learner: expected one of none, td, .* got 'nope'"),
         (["train", "--learner", "no_such:one"], "learner: no_such:one: No module .*PYTHONPATH"),
         (["train", "--task"], "--task: expected one argument"),
@@ -492,8 +499,11 @@ def test_ctrl_c_says_how_to_go_on(neatq: Say, monkeypatch: pytest.MonkeyPatch) -
 def test_the_list_names_everything(neatq: Say) -> None:
     status, out, error = neatq("list")
     assert (status, error) == (0, "")
-    for name in (*ARMS, "flag", "gym:ID", "fixed", "traces"):
-        assert re.search(rf"(^|[ ,]){re.escape(name)}([ ,]|$)", out, re.MULTILINE), name
+    for name in (*ARMS, *TASKS, *population_kinds, *learner_kinds, "gym:ID"):
+        assert re.search(rf"^  {re.escape(name)} +[\w\"].{{15,}}$", out, re.MULTILINE), name
+    titles = re.findall(r"^(\w+) \((docs/\w+.md)\):$", out, re.MULTILINE)
+    assert [title for title, _ in titles] == ["tasks", "arms", "populations", "learners"]
+    assert all((ROOT / page).is_file() for _, page in titles)
 
 
 def test_help_imports_nothing_heavy() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 from neatq_envs.gymnasium_task import PREFIX
 from neatq_envs.scenario import TASKS, find_scenario
 from neatq_torch.evolution import FixedConfig, NEATConfig, RtNEATConfig, population_kinds
-from neatq_torch.kinds import ConfigError
+from neatq_torch.kinds import ARMS_PAGE, WORLDS_PAGE, ConfigError
 from neatq_torch.learning import (
     NoLearningConfig,
     ReplayConfig,
@@ -183,7 +183,8 @@ def preset(
         >>> config = config.changed({"learner.epsilon": 0.05})
     """
     if arm not in ARMS:
-        raise ConfigError(f"arm: expected one of {', '.join(ARMS)}; got {arm!r}")
+        expected = f"arm: expected one of {', '.join(ARMS)}"
+        raise ConfigError(f"{expected}; got {arm!r} (explained in {ARMS_PAGE})")
     chosen = ARMS[arm]
     world = _world(task, chosen, env_kwargs or {})
     if chosen.arena_only and not isinstance(world, ArenaConfig):
@@ -264,5 +265,5 @@ def _world(task: str, arm: Arm, kwargs: Mapping[str, Any]) -> WorldConfig:
         return ArenaConfig(scenario=find_scenario(task, defaults=arm.senses, changes=kwargs))
     raise ConfigError(
         f"task: expected {', '.join((*TASKS, *env_kinds))}, gym:ID for a Gymnasium environment, "
-        f"or the path of a scenario file (.json); got {task!r}"
+        f"or the path of a scenario file (.json); got {task!r} (explained in {WORLDS_PAGE})"
     )

@@ -19,11 +19,11 @@ import tyro
 from neatq_envs.episodes import EpisodeError
 from neatq_envs.gymnasium_task import TaskError, assignments
 from neatq_envs.processes import ProcessEnded
-from neatq_envs.scenario import TASKS, ScenarioError
+from neatq_envs.scenario import ScenarioError
 from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.evolution import population_kinds
 from neatq_torch.genome import GenomeError
-from neatq_torch.kinds import ConfigError
+from neatq_torch.kinds import ARMS_PAGE, WORLDS_PAGE, ConfigError
 from neatq_torch.learning import learner_kinds
 from neatq_trainers import arms
 from neatq_trainers import train as trainer
@@ -37,6 +37,17 @@ from neatq_trainers.worlds import env_kinds
 Command = TypeVar("Command")
 _STOPS = (KeyboardInterrupt, Terminated, EpisodeError, ProcessEnded, MemoryError, OSError)
 """What stops a run that can go on."""
+TASK_LINES = {
+    "flag": "robots run to a flag in an open field",
+    "moving": "the same, and the flag moves now and then",
+    "wall": "a wall stands between robots and flag",
+    "trap": "robots must first get out of a pocket",
+    "maze": "the hard maze of Lehman & Stanley (2011)",
+    "switch": "two flags, of which one counts, and not always the same",
+    "FILE.json": "an arena of your own",
+    "gym:ID": "any Gymnasium environment, such as gym:CartPole-v1 or gym:my_module:Mine-v0",
+}
+"""What `neatq list` says of tasks."""
 
 
 def run_command(command: Callable[[list[str]], None], arguments: list[str]) -> int:
@@ -144,12 +155,13 @@ def list_command(arguments: list[str]) -> None:
     """`neatq list`."""
     if arguments:
         raise ConfigError(f"list: expected no arguments, got {' '.join(arguments)}")
-    tables = {"arms": {name: arm.summary for name, arm in arms.ARMS.items()}}
+    own = {name: make.__doc__ or "a world of your own" for name, make in env_kinds.items()}
+    tables = {"tasks": TASK_LINES | own}
+    tables["arms"] = {name: arm.summary for name, arm in arms.ARMS.items()}
     for title, kinds in (("populations", population_kinds), ("learners", learner_kinds)):
         tables[title] = {name: kinds.config(name).__doc__ or "" for name in kinds}
-    print(f"tasks:\n  {', '.join((*TASKS, *env_kinds))}, a scenario file, gym:ID")
     for title, table in tables.items():
-        print(f"{title}:")
+        print(f"{title} ({WORLDS_PAGE if title == 'tasks' else ARMS_PAGE}):")
         for name, says in table.items():
             print(f"  {name:10}  {says.partition(chr(10))[0]}")
 
