@@ -21,6 +21,8 @@ import pytest
 import neatq_envs
 import neatq_experiments.command
 import neatq_torch
+import neatq_torch.interop
+import neatq_trainers.export
 import neatq_trainers.report
 import neatq_trainers.train
 from neatq_trainers import cli
@@ -31,10 +33,11 @@ PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md")])
 FENCE = re.compile(
     r"(?:^<!-- not run: (.+?) -->\n)?^``` ?([^\n]*)\n(.*?)^```", re.MULTILINE | re.DOTALL
 )
-FACES = (neatq_torch, neatq_envs)
+FACES = (neatq_torch, neatq_envs, neatq_torch.interop)
 UNDERSTOOD = (
     (neatq_trainers.train, "start"),
     (neatq_trainers.train, "resume"),
+    (neatq_trainers.export, "_travelling"),
     (neatq_experiments.command, "run_comparison"),
     (neatq_experiments.command, "run_experiment"),
 )
@@ -158,7 +161,7 @@ def test_every_option_of_a_command_is_on_its_page(
             continue
         with pytest.raises(SystemExit):
             cli.main([name, "--help"])
-        told = re.findall(r"^\W*(--[a-z-]+)(?=[ ,])", capsys.readouterr().out, re.MULTILINE)
+        told = re.findall(r"^\W*(--[a-z][a-z-]*)(?=[ ,])", capsys.readouterr().out, re.MULTILINE)
         assert [one for one in told if one not in section and one != "--help"] == [], name
 
 
