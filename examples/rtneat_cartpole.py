@@ -23,15 +23,17 @@ def main(slots: int = 50, ticks: int = 5_000, seed: int = 0) -> float:
     shape = {"slots": slots, "inputs": 4, "outputs": 2, "activation": "identity"}
     population = nq.RtNEAT.start(config, rng=seed, **shape)
     network = nq.PopulationNetwork(population.genomes)
+    acting = network.stateful()  # links may be recurrent: networks remember
     seen, _ = env.reset(seed=seed)
     for tick in range(1, ticks + 1):
-        action = network(torch.from_numpy(seen)).argmax(-1).numpy()
+        action = acting(seen).argmax(-1).numpy()
         seen, reward, terminated, truncated, _ = env.step(action)
         over = terminated | truncated
         population.record(reward[:, None, None], over[:, None])
         for replacement in population.advance():
             network.replace(replacement.slot, replacement.genome)
             over[replacement.slot] = True  # a newborn begins an episode of its own
+        acting.reset(torch.from_numpy(over))
         if over.any():
             seen, _ = env.reset(options={"reset_mask": over})
         if tick % 1_000 == 0:
@@ -43,10 +45,11 @@ def main(slots: int = 50, ticks: int = 5_000, seed: int = 0) -> float:
 
 def balanced(genome: nq.Genome) -> float:
     """Return of an episode that nobody has seen."""
-    env, network, total, over = gymnasium.make("CartPole-v1"), nq.GenomeNetwork(genome), 0.0, False
+    env, acting = gymnasium.make("CartPole-v1"), nq.GenomeNetwork(genome).stateful()
+    total, over = 0.0, False
     seen, _ = env.reset(seed=1_000)
     while not over:
-        action = int(network(torch.from_numpy(seen)).argmax())
+        action = int(acting(seen).argmax())
         seen, reward, terminated, truncated, _ = env.step(action)
         total, over = total + float(reward), terminated or truncated
     return total

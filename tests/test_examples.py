@@ -9,6 +9,7 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -175,6 +176,28 @@ def test_an_evolved_network_goes_on_learning_by_gradients(tmp_path: Path) -> Non
     assert after < before < 0.25  # 0.25 is to say 0.5 every time
     outputs = nq.GenomeNetwork(nq.load_genome(tmp_path / "xor.json"))(script["INPUTS"])
     assert ((outputs > 0.5) == (script["WANTED"] > 0.5)).all()
+
+
+def test_sb3_evaluates_a_champion_beside_its_agent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    means = example("sb3")["main"](generations=2, steps=128, every=64)
+    assert len(means) == 2
+    champion = nq.load_policy(tmp_path / "runs" / "beside-ppo")
+    env = gymnasium.make("CartPole-v1")
+    seen, _ = env.reset(seed=1)
+    returns = list[float]()
+    while len(returns) < 5:
+        over = False
+        returns.append(0.0)
+        while not over:
+            seen, reward, terminated, truncated, _ = env.step(champion(seen))
+            returns[-1] += float(reward)
+            over = terminated or truncated
+        seen, _ = env.reset()
+    assert means[0][1] == pytest.approx(np.mean(returns))
+    assert means[1][1] == means[0][1]  # it does not learn any more
 
 
 def test_a_gymnasium_task_is_three_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,6 +48,9 @@ class StatefulNetwork(nn.Module):
                 f"expected a batch {list(self.state.shape[lead:-1])} of observations, as in the "
                 f"calls before, got {list(batch)}; call reset() where another batch begins"
             )
+        if self.state is not None:  # a genome that `replace` put in may keep more
+            missing = network.state_size - self.state.shape[-1]
+            self.state = nn.functional.pad(self.state, (0, missing))
         output, state = network.step(observation, self.state)
         self.state = state.detach()
         return output

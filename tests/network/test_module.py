@@ -253,6 +253,16 @@ def test_a_batch_is_reset_where_an_episode_begins() -> None:
         network.reset(torch.tensor([True, False, True]))
 
 
+def test_the_stateful_form_goes_on_where_a_newborn_keeps_more_than_all_before() -> None:
+    plain = echo().replaced(link_enabled=np.array([True, False]))
+    network = PopulationNetwork([plain, plain])
+    running = network.stateful()
+    assert running(torch.ones(2, 1)).flatten().tolist() == [1.0, 1.0]
+    network.replace(0, echo())
+    assert running(torch.ones(2, 1)).flatten().tolist() == [1.0, 1.0]
+    assert running(torch.ones(2, 1)).flatten().tolist() == [1.5, 1.0]
+
+
 def test_gradients_of_the_stateful_form_are_those_of_the_latest_call() -> None:
     network = GenomeNetwork(echo())
     running = network.stateful()
