@@ -23,6 +23,7 @@ import neatq_experiments.command
 import neatq_torch
 import neatq_torch.interop
 import neatq_trainers.export
+import neatq_trainers.info
 import neatq_trainers.report
 import neatq_trainers.train
 from neatq_trainers import cli
@@ -38,6 +39,7 @@ UNDERSTOOD = (
     (neatq_trainers.train, "start"),
     (neatq_trainers.train, "resume"),
     (neatq_trainers.export, "_travelling"),
+    (neatq_trainers.info, "version_of"),
     (neatq_experiments.command, "run_comparison"),
     (neatq_experiments.command, "run_experiment"),
 )
