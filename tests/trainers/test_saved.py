@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 import neatq_torch as nq
+from neatq_envs.processes import ProcessEnded
 from neatq_torch.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from neatq_torch.json_text import parse_json
+from neatq_trainers.saved import restoring
 
 RELEASED = Path(__file__).parents[1] / "data" / "release-0.2.0"
 Edit = Callable[[dict[str, Any]], object]
@@ -130,3 +132,9 @@ def test_a_scale_that_is_none_is_told(gymnasium: Path, scale: float) -> None:
     path.write_text(json.dumps(values))
     with pytest.raises(CheckpointError, match=r"scaling\.json: .*positive scale"):
         nq.load_policy(gymnasium)
+
+
+@pytest.mark.parametrize("error", [ProcessEnded("killed"), OSError("full"), MemoryError()])
+def test_what_is_no_fault_of_a_checkpoint_is_not_called_so(error: Exception) -> None:
+    with pytest.raises(type(error)), restoring():
+        raise error

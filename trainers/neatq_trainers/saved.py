@@ -12,6 +12,7 @@ from torch import Tensor
 
 from neatq_envs.episodes import EpisodeError
 from neatq_envs.gymnasium_task import TaskError
+from neatq_envs.processes import ProcessEnded
 from neatq_envs.random_play import EnvFacts
 from neatq_torch.checkpoint import CheckpointError
 from neatq_trainers.config import LENGTHS, RunConfig
@@ -89,14 +90,14 @@ def check_form(saved: Any, fresh: Any, *, columns: bool, where: str = "") -> Non
 
 @contextmanager
 def restoring(path: Path | str = "checkpoint.npz") -> Iterator[None]:
-    """Whatever fails in it is the fault of a checkpoint, but for what the environment does.
+    """Whatever fails in it is the fault of a checkpoint, but for environment, worker and machine.
 
     Raises:
         CheckpointError: In place of the error that came.
     """
     try:
         yield
-    except (CheckpointError, EpisodeError, TaskError):
+    except (CheckpointError, EpisodeError, TaskError, ProcessEnded, OSError, MemoryError):
         raise
     except Exception as error:
         text = f"what it holds does not fit the run ({type(error).__name__}: {error})"
