@@ -172,7 +172,7 @@ def test_an_environment_that_fails_in_mid_run_leaves_a_run_that_goes_on(
 @pytest.mark.parametrize(
     ("name", "damage", "pattern"),
     [
-        (CHECKPOINT, lambda content: content[:-100], "truncated or altered"),
+        (CHECKPOINT, lambda content: content[:-100], "truncated, altered or damaged"),
         (METRICS, lambda content: content[:-10], "altered"),
         (CONFIG, lambda content: content.replace(b'"seed": 1', b'"seed": 2'), "not the config"),
         (CONFIG, lambda content: content.replace(b'"episodes": 2', b'"episodes": 0'), "damaged"),

@@ -80,9 +80,12 @@ def _status(error: BaseException, advice: str = "") -> int:
         case OSError():
             where = f"{error.filename}: " if error.filename else ""
             return _fail(f"{where}{error.strerror or error}{advice}")
-        case KeyboardInterrupt() | Terminated():
+        case KeyboardInterrupt():
+            print(f"neatq: stopped{error}{advice}", file=sys.stderr)
+            return 130
+        case Terminated(code=status):
             print(f"neatq: stopped{advice}", file=sys.stderr)
-            return 130 if isinstance(error, KeyboardInterrupt) else int(error.code or 0)
+            return int(status or 0)
     raise error
 
 
