@@ -208,3 +208,8 @@ def test_genomes_without_hidden_nodes_links_or_bias_are_drawn() -> None:
         figure = draw_genome(genome)
         assert len(drawn(figure, "node")) == 3
         assert rendered(figure)
+
+
+def test_a_notebook_shows_a_figure_without_pyplot() -> None:
+    picture = getattr(draw_genome(small_genome()), "_repr_png_")()
+    assert picture.startswith(b"\x89PNG")
