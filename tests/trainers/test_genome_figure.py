@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
 
+from neatq_envs.render import ShownFigure
 from neatq_torch.genome import (
     Genome,
     InnovationLedger,
@@ -211,5 +212,6 @@ def test_genomes_without_hidden_nodes_links_or_bias_are_drawn() -> None:
 
 
 def test_a_notebook_shows_a_figure_without_pyplot() -> None:
-    picture = getattr(draw_genome(small_genome()), "_repr_png_")()
-    assert picture.startswith(b"\x89PNG")
+    figure = draw_genome(small_genome())
+    assert isinstance(figure, ShownFigure)
+    assert figure._repr_png_().startswith(b"\x89PNG")
