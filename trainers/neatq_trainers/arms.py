@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium
+
 from neatq_envs.gymnasium_task import PREFIX
 from neatq_envs.scenario import TASKS, find_scenario
 from neatq_torch.evolution import FixedConfig, NEATConfig, RtNEATConfig, population_kinds
@@ -263,7 +265,8 @@ def _world(task: str, arm: Arm, kwargs: Mapping[str, Any]) -> WorldConfig:
         return EnvConfig(name=task, kwargs=dict(kwargs))
     if known or Path(task).exists():
         return ArenaConfig(scenario=find_scenario(task, defaults=arm.senses, changes=kwargs))
+    meant = f"; did you mean {PREFIX}{task}?" if task in gymnasium.registry else ""
     raise ConfigError(
         f"task: expected {', '.join((*TASKS, *env_kinds))}, gym:ID for a Gymnasium environment, "
-        f"or the path of a scenario file (.json); got {task!r} (explained in {WORLDS_PAGE})"
+        f"or the path of a scenario file (.json); got {task!r}{meant} (explained in {WORLDS_PAGE})"
     )

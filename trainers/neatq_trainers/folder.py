@@ -336,7 +336,7 @@ def load_run(path: Path | str) -> RunFolder:
     """
     path, file = Path(path), Path(path) / CONFIG
     if not (path / CHECKPOINT).is_file():
-        raise RunFolderError(f"{path}: no run to go on with; there is no {CHECKPOINT} in it")
+        raise RunFolderError(f"{path}: no run; there is no {CHECKPOINT} in it")
     try:
         return RunFolder(path, RunConfig.from_dict(_read_json(file)))
     except FileNotFoundError as error:
