@@ -258,6 +258,11 @@ def _length(task: str, world: WorldConfig, given: Mapping[str, int | None]) -> d
 
 
 def _world(task: str, arm: Arm, kwargs: Mapping[str, Any]) -> WorldConfig:
+    if not isinstance(task, str):
+        raise ConfigError(
+            f"task: expected a name, such as gym:CartPole-v1, got {type(task).__name__}; each "
+            f"worker makes environments of its own, by their id (explained in {WORLDS_PAGE})"
+        )
     if task.startswith(PREFIX):
         return GymnasiumConfig(id=task.removeprefix(PREFIX), kwargs=dict(kwargs), slots=arm.slots)
     known = task in TASKS or Path(task).suffix == ".json"

@@ -69,6 +69,9 @@ class RunFolder:
         self._header = header(row_kind(config))
         self._bytes, self._crc = len(self._header), zlib.crc32(self._header.encode())
 
+    def __repr__(self) -> str:
+        return f"RunFolder({str(self.path)!r}, {self.config.arm} on {self.config.task})"
+
     @property
     def folder(self) -> Path:
         """The folder."""
