@@ -115,7 +115,8 @@ class GymnasiumTask:
         close += [name for name in known if family.fullmatch(name) and name not in close]
         meant = f"did you mean {' or '.join(close)}? " if close else ""
         return (
-            f"Gymnasium knows no {self.id!r} ({error}); {meant}all ids: "
+            f"Gymnasium knows no {self.id!r} ({error}); {meant}one of your own is "
+            "gym:my_module:ID; all others: "
             'python -c "import gymnasium; gymnasium.pprint_registry()"'
         )
 

@@ -7,11 +7,13 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 _FOR_THE_ONE_THAT_ASKS = [
@@ -38,6 +40,7 @@ class Remote:
     """
 
     def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
+        refuse_unguarded_script()
         context = multiprocessing.get_context("spawn")
         self._pipe, far_end = context.Pipe()
         self._process = context.Process(target=_serve, args=(far_end,), daemon=True)
@@ -81,6 +84,31 @@ def usable_cores() -> int:
     """How many cores this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)  # not every system has it
     return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+
+
+def unguarded_script() -> Path | None:
+    """The script that runs here, if it would begin anew in each process that it starts."""
+    main = sys.modules["__main__"]
+    path = getattr(main, "__file__", None)  # a notebook has none
+    if path is None or getattr(getattr(main, "__spec__", None), "name", "").endswith("__main__"):
+        return None  # other processes do not import it
+    try:
+        return None if b"__main__" in Path(path).read_bytes() else Path(path)
+    except OSError:  # no file, such as a part of an archive
+        return None
+
+
+def refuse_unguarded_script() -> None:
+    """Raise a sentence before processes start that could not.
+
+    Raises:
+        RuntimeError: If the script has no guard.
+    """
+    if (script := unguarded_script()) is not None:
+        raise RuntimeError(
+            f"{script.name}: other processes import this script, so what starts them must stand "
+            'below `if __name__ == "__main__":`; training goes without them with workers=1'
+        )
 
 
 def end_with_parent() -> None:

@@ -23,6 +23,15 @@ Pixel = tuple[int, int]  # column, row
 Pen = ImageDraw.ImageDraw
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook shows, whether pyplot is loaded there or not."""
+
+    def _repr_png_(self) -> bytes:
+        file = io.BytesIO()
+        self.savefig(file, format="png")
+        return file.getvalue()
+
+
 def frame(
     scenario: Scenario,
     position: np.ndarray,

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from tqdm import tqdm
 
-from neatq_envs.processes import end_with_parent
+from neatq_envs.processes import end_with_parent, refuse_unguarded_script
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import CHECKPOINT, RunFolderError
@@ -169,6 +169,7 @@ def begun(runs: Runs, tasks: Iterable[SeedTask]) -> float:
 @contextmanager
 def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Processes that do not outlive an error or Ctrl-C."""
+    refuse_unguarded_script()
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, context, _begin_process) as pool:
         try:

@@ -29,7 +29,7 @@ def refusal(task: str, *env_kwargs: str) -> str:
         ("cartpole-v1", r"did you mean CartPole-v1"),
         ("CartPole-v9", r"did you mean CartPole-v1"),
         ("LunarLander-v2", r"LunarLander-v3"),
-        ("qqqq", r"knows no 'qqqq'.*pprint_registry"),
+        ("qqqq", r"knows no 'qqqq'.*one of your own is gym:my_module:ID.*pprint_registry"),
         ("Nothing/CartPole-v1", r"knows no"),
         ("no_such_module:CartPole-v1", r"No module named 'no_such_module'.*PYTHONPATH"),
     ],

@@ -13,12 +13,15 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import msgspec
 import pytest
 
 from neatq_experiments.compare.cells import digest
 from neatq_torch.evolution import population_kinds
+from neatq_torch.kinds import ConfigError
 from neatq_torch.learning import TDConfig, learner_kinds
 from neatq_trainers.arms import ARMS, preset
 
@@ -74,6 +77,12 @@ def test_every_arm_is_guarded_in_the_arena_and_on_gymnasium_tasks() -> None:
 @pytest.mark.parametrize("task", TICKS)
 def test_a_run_is_as_long_as_the_published_one(task: str) -> None:
     assert preset(task, "rtneat").length == ("ticks", TICKS[task])
+
+
+def test_an_environment_in_place_of_its_name_is_refused() -> None:
+    given: Any = gymnasium.make("CartPole-v1")
+    with pytest.raises(ConfigError, match=r"expected a name, such as gym:CartPole-v1, got TimeL"):
+        preset(given, "neat")
 
 
 def test_other_worlds_have_lengths_of_their_own() -> None:

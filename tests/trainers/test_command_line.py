@@ -157,7 +157,8 @@ CART_POLE = ["--task", "gym:CartPole-v1"]
             "learner.anneal: expected lives of a number of episodes",
         ),
         (["train", *CART_POLE, "--arm", "qlearning"], "arm: qlearning does not run on gym:.*qnet"),
-        (["resume", "nowhere"], "nowhere: no run to go on with"),
+        (["train", "--task", "CartPole-v1"], r"got 'CartPole-v1'; did you mean gym:CartPole-v1\?"),
+        (["resume", "nowhere"], "nowhere: no run; there is no"),
         (["list", "arms"], "list: expected no arguments, got arms"),
         (
             ["trian"],

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
 
+from neatq_envs.render import ShownFigure
 from neatq_torch.genome import (
     Genome,
     InnovationLedger,
@@ -208,3 +209,9 @@ def test_genomes_without_hidden_nodes_links_or_bias_are_drawn() -> None:
         figure = draw_genome(genome)
         assert len(drawn(figure, "node")) == 3
         assert rendered(figure)
+
+
+def test_a_notebook_shows_a_figure_without_pyplot() -> None:
+    figure = draw_genome(small_genome())
+    assert isinstance(figure, ShownFigure)
+    assert figure._repr_png_().startswith(b"\x89PNG")

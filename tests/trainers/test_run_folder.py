@@ -60,6 +60,10 @@ def copy(done: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(done, tmp_path / "run"))
 
 
+def test_a_run_is_shown_with_its_folder_arm_and_task(done: Path) -> None:
+    assert repr(load_run(done)) == f"RunFolder({str(done)!r}, neatq on wall)"
+
+
 def test_the_folder_holds_the_results_and_no_temporary_file(done: Path) -> None:
     wanted = {CONFIG, METRICS, CHECKPOINT, CHAMPION, CURVES, PATHS, TEAM, PICTURE, "logs"}
     assert set(os.listdir(done)) == wanted

@@ -5,6 +5,8 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -270,3 +272,47 @@ def test_a_run_without_workers_is_refused(
     assert main(["train", "--workers", "0", "--out", str(tmp_path / "run")]) == 2
     assert "workers: expected at least 1, got 0" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+SCRIPT = """
+import os
+os.sched_getaffinity = lambda _: {0, 1}
+import neatq_torch as nq
+run = nq.train("gym:CartPole-v1", "neat", steps=1, settings={"world.slots": 4})
+print(run.metrics()["generation"])
+"""
+
+
+def _run_script(folder: Path, text: str) -> subprocess.CompletedProcess[str]:
+    (folder / "five.py").write_text(text)
+    command = [sys.executable, "five.py"]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_a_script_without_a_guard_trains_in_one_process_and_is_told(tmp_path: Path) -> None:
+    done = _run_script(tmp_path, SCRIPT)
+    assert (done.returncode, done.stdout) == (0, "[1.]\n")
+    assert "trains in one process; on 2 cores where five.py has `if __name__" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        'nq.train("gym:CartPole-v1", "neat", generations=1, workers=2)',
+        'nq.compare("gym:CartPole-v1", ["neat"], seeds=1, quick=True)',
+    ],
+)
+def test_a_script_that_no_process_can_import_is_refused_in_a_sentence(
+    asked: str, tmp_path: Path
+) -> None:
+    done = _run_script(tmp_path, f"import neatq_torch as nq\n{asked}\n")
+    assert done.returncode == 1
+    assert "five.py: other processes import this script" in done.stderr
+    assert done.stderr.count("Traceback") == 1
+
+
+def test_a_script_with_a_guard_has_its_processes(tmp_path: Path) -> None:
+    guarded = SCRIPT.replace("run = nq", 'if __name__ == "__main__":\n    run = nq')
+    done = _run_script(tmp_path, guarded.replace("\nprint", "\n    print"))
+    assert (done.returncode, done.stdout) == (0, "[1.]\n")
+    assert "one process" not in done.stderr

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium
+
 from neatq_envs.gymnasium_task import PREFIX
 from neatq_envs.scenario import TASKS, find_scenario
 from neatq_torch.evolution import FixedConfig, NEATConfig, RtNEATConfig, population_kinds
@@ -256,6 +258,11 @@ def _length(task: str, world: WorldConfig, given: Mapping[str, int | None]) -> d
 
 
 def _world(task: str, arm: Arm, kwargs: Mapping[str, Any]) -> WorldConfig:
+    if not isinstance(task, str):
+        raise ConfigError(
+            f"task: expected a name, such as gym:CartPole-v1, got {type(task).__name__}; each "
+            f"worker makes environments of its own, by their id (explained in {WORLDS_PAGE})"
+        )
     if task.startswith(PREFIX):
         return GymnasiumConfig(id=task.removeprefix(PREFIX), kwargs=dict(kwargs), slots=arm.slots)
     known = task in TASKS or Path(task).suffix == ".json"
@@ -263,7 +270,8 @@ def _world(task: str, arm: Arm, kwargs: Mapping[str, Any]) -> WorldConfig:
         return EnvConfig(name=task, kwargs=dict(kwargs))
     if known or Path(task).exists():
         return ArenaConfig(scenario=find_scenario(task, defaults=arm.senses, changes=kwargs))
+    meant = f"; did you mean {PREFIX}{task}?" if task in gymnasium.registry else ""
     raise ConfigError(
         f"task: expected {', '.join((*TASKS, *env_kinds))}, gym:ID for a Gymnasium environment, "
-        f"or the path of a scenario file (.json); got {task!r} (explained in {WORLDS_PAGE})"
+        f"or the path of a scenario file (.json); got {task!r}{meant} (explained in {WORLDS_PAGE})"
     )

@@ -69,6 +69,9 @@ class RunFolder:
         self._header = header(row_kind(config))
         self._bytes, self._crc = len(self._header), zlib.crc32(self._header.encode())
 
+    def __repr__(self) -> str:
+        return f"RunFolder({str(self.path)!r}, {self.config.arm} on {self.config.task})"
+
     @property
     def folder(self) -> Path:
         """The folder."""
@@ -336,7 +339,7 @@ def load_run(path: Path | str) -> RunFolder:
     """
     path, file = Path(path), Path(path) / CONFIG
     if not (path / CHECKPOINT).is_file():
-        raise RunFolderError(f"{path}: no run to go on with; there is no {CHECKPOINT} in it")
+        raise RunFolderError(f"{path}: no run; there is no {CHECKPOINT} in it")
     try:
         return RunFolder(path, RunConfig.from_dict(_read_json(file)))
     except FileNotFoundError as error:

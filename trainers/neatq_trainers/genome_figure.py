@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
 from matplotlib.path import Path
 
+from neatq_envs.render import ShownFigure
 from neatq_envs.sensors import SCHEMAS
 from neatq_torch.genome import Genome, NodeKind, node_levels
 
@@ -47,7 +48,7 @@ def draw_genome(genome: Genome, *, input_names: Names = None, output_names: Name
     width, height = np.ptp(points, axis=0)
     inches = (min(WIDEST_INCHES, 4.4 + COLUMN_INCHES * width), 2.0 + ROW_INCHES * height)
     rows = points[:, 1].max() + 1.2, points[:, 1].min() - 1.6
-    figure = Figure(figsize=inches, layout="constrained")
+    figure = ShownFigure(figsize=inches, layout="constrained")
     axes = figure.add_subplot(xlim=(-0.1, width + 0.1), ylim=rows)
     axes.set_axis_off()
     _draw_links(axes, genome, points)

@@ -20,7 +20,7 @@ from neatq_envs.gymnasium_rows import begin, close
 from neatq_envs.gymnasium_task import GymnasiumTask, TaskError
 from neatq_envs.observations import raised_by_environment
 from neatq_envs.random_play import EnvFacts
-from neatq_envs.render import animation, draw_paths, frame, plain_title
+from neatq_envs.render import ShownFigure, animation, draw_paths, frame, plain_title
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.build import build
 from neatq_trainers.folder import (
@@ -118,7 +118,7 @@ def draw_curves(metrics: Columns, title: str, *, one_by_one: bool = True) -> Fig
         one_by_one: Whether genomes are replaced one by one; else all are newborn at once, and then
             all are old enough.
     """
-    figure = Figure(figsize=(8, 5.2), layout="tight")
+    figure = ShownFigure(figsize=(8, 5.2), layout="tight")
     axes = figure.add_subplot()
     arenas = len(np.unique(metrics["arena"]))
     distances = "min_distance" in metrics

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from neatq_envs.episodes import TEST, episode_seeds
+from neatq_envs.processes import unguarded_script
 from neatq_envs.random_play import EnvFacts
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.arms import preset
@@ -239,7 +240,15 @@ def default_folder(config: RunConfig) -> Path:
 def _checked(workers: int | None, config: RunConfig) -> int:
     if workers is not None and workers < 1:
         raise ConfigError(f"workers: expected at least 1, got {workers}")
-    return fitting_workers(config) if workers is None else workers
+    fitting = fitting_workers(config) if workers is None else workers
+    if workers is None and fitting > 1 and (script := unguarded_script()) is not None:
+        print(
+            f"neatq: trains in one process; on {fitting} cores where {script.name} has "
+            '`if __name__ == "__main__":` above what it does',
+            file=sys.stderr,
+        )
+        return 1
+    return fitting
 
 
 def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Callback]) -> None:
