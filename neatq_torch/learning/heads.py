@@ -55,7 +55,10 @@ class Heads(nn.Module):
     def best(self, output: Tensor) -> Tensor:
         """The candidate of the greatest value [..., A], of equal ones the first."""
         candidates, values = self(output)
-        return candidates.take_along_dim(values.argmax(-1)[..., None, None], -2).squeeze(-2)
+        index = values.argmax(-1, keepdim=True).unsqueeze(-1)
+        # Not take_along_dim, which ties what is exported to one size of batch.
+        index = index.expand(*index.shape[:-1], self.actions)
+        return candidates.gather(-2, index).squeeze(-2)
 
 
 class CandidateHeads(Heads):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,23 +9,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 import tyro
 from gymnasium import spaces
 from torch import Tensor, nn
 
 from neatq_envs.gymnasium_task import Interface
-from neatq_envs.random_play import LARGEST, EnvFacts, ObservationScaling
+from neatq_envs.random_play import LARGEST
 from neatq_torch.atomic import write_atomic
 from neatq_torch.genome import Genome, load_genome
 from neatq_torch.interop import to_c, to_graphviz, to_onnx, to_python
 from neatq_torch.kinds import ConfigError
 from neatq_torch.learning import CandidateHeads, DiscreteHeads, Heads
-from neatq_torch.network import Evaluation, GenomeNetwork
+from neatq_torch.network import GenomeNetwork
 from neatq_trainers.commands import parse
-from neatq_trainers.folder import CHAMPION, CHECKPOINT, SCALING, load_run
+from neatq_trainers.folder import CHAMPION, CHECKPOINT, load_run
 from neatq_trainers.policy import ChampionPolicy, load_policy
-from neatq_trainers.worlds import GymnasiumConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,96 +51,26 @@ class ExportCommand:
 
 
 class ActingChampion(nn.Module):
-    """What a policy does, as a pure function (observation, state) -> (action, state).
+    """What a policy does, as a pure function (flat observation, state) -> (action, state)."""
 
-    Args:
-        policy: What acts.
-        scaling: Of its observations.
-        double_activation: As `CandidatePolicy` has it; the state then ends with the observation
-            before.
-    """
-
-    def __init__(
-        self,
-        policy: ChampionPolicy,
-        scaling: ObservationScaling | None = None,
-        *,
-        double_activation: bool = False,
-    ) -> None:
+    def __init__(self, policy: ChampionPolicy) -> None:
         super().__init__()
-        self.network, self.heads = policy.network, policy.heads
-        self._scaling = None  # no buffers, as in the policy
-        if scaling is not None:
-            self._scaling = torch.from_numpy(scaling.offset), torch.from_numpy(scaling.scale)
+        self.policy, self.inputs = policy, policy.network.inputs
         self._first = _first_choice(policy.interface)
-        self._twice = double_activation and bool(self.network.state_size)
-        self.inputs = self.network.inputs
 
     @property
     def state_size(self) -> int:
         """Numbers that are kept from call to call."""
-        return self.network.state_size + self.inputs * self._twice
+        return self.policy.state_size
 
     def initial_state(self, batch: Sequence[int] = ()) -> Tensor:
         """Zeros [*batch, state_size]."""
-        return self.network.weight.new_zeros(*batch, self.state_size)
+        return self.policy.initial_state(batch)
 
     def step(self, observation: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """The action, whole numbers [*batch] of choices or [*batch, A], and the next state."""
-        seen = observation
-        if self._scaling is not None:
-            offset, scale = self._scaling
-            seen = ((seen.double() - offset) / scale).clamp(-LARGEST, LARGEST).to(seen.dtype)
-        size = self.network.state_size
-        output, kept = self.network.step(seen, state[..., :size])
-        if self._twice:
-            kept = self.network.step(state[..., size:], kept)[1]
-            kept = torch.cat([kept, seen], -1)
-        return self._best(output), kept
-
-    def _best(self, output: Tensor) -> Tensor:
-        # As `Heads.best`, whose take_along_dim would tie what is exported to one size of batch.
-        candidates, values = self.heads(output)
-        number = values.argmax(-1, keepdim=True)
-        if self._first is not None:
-            return number[..., 0] + self._first
-        index = number.unsqueeze(-1).expand(*number.shape, self.heads.actions)
-        return candidates.gather(-2, index).squeeze(-2)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Travelling:
-    """What is to be written."""
-
-    genome: Genome
-    evaluation: Evaluation = "settle"
-    acting: ActingChampion | None = None
-    scaling: ObservationScaling | None = None
-    comment: tuple[str, ...] = ()
-
-    def write(self, command: ExportCommand) -> list[Path]:
-        """Write the files that are asked for; gives their names."""
-        scaling = None
-        if self.scaling is not None:
-            scaling = self.scaling.offset, self.scaling.scale, LARGEST
-        given: dict[str, Any] = {
-            "evaluation": self.evaluation,
-            "scaling": scaling,
-            "comment": self.comment,
-        }
-        if command.c is not None:
-            write_atomic(command.c, to_c(self.genome, name=_identifier(command.c), **given))
-        if command.python is not None:
-            write_atomic(command.python, to_python(self.genome, **given))
-        if command.dot is not None:
-            write_atomic(command.dot, to_graphviz(self.genome))
-        if command.onnx is not None:
-            network = self.acting or GenomeNetwork(self.genome, evaluation=self.evaluation)
-            name = "output" if self.acting is None else "action"
-            metadata = {"neatq": "\n".join(self.comment)}
-            to_onnx(network, command.onnx, output_name=name, metadata=metadata)
-        written = command.onnx, command.c, command.python, command.dot
-        return [path for path in written if path is not None]
+        best, state = self.policy.act(self.policy.scaled(observation), state)
+        return best if self._first is None else best[..., 0].long() + self._first, state
 
 
 def export_command(arguments: list[str]) -> None:
@@ -151,46 +78,62 @@ def export_command(arguments: list[str]) -> None:
     command = parse(ExportCommand, "export", arguments)
     if not (command.onnx or command.c or command.python or command.dot):
         raise ConfigError("export: expected at least one of --onnx, --c, --python and --dot FILE")
+    genome, policy, comment = _champion_at(command.run)
     try:
-        travelling = _travelling(command.run)
-        written = travelling.write(command)
+        _write(command, genome, policy, comment)
     except ModuleNotFoundError as error:
         raise ConfigError(f"export: {error}") from error
-    print(f"neatq: {', '.join(map(str, written))}")
-    for line in travelling.comment:
+    written = command.onnx, command.c, command.python, command.dot
+    print(f"neatq: {', '.join(str(path) for path in written if path is not None)}")
+    for line in comment:
         print(f"neatq: {line}")
 
 
-def _travelling(path: Path) -> Travelling:
-    """The champion of a run, whose folder or champion.json is given, or any other genome."""
+def _write(
+    command: ExportCommand, genome: Genome, policy: ChampionPolicy | None, comment: Sequence[str]
+) -> None:
+    """Write the files that are asked for."""
+    network = GenomeNetwork(genome) if policy is None else policy.network
+    given: dict[str, Any] = {"evaluation": network.evaluation, "comment": comment}
+    if policy is not None and policy.scaling is not None:
+        given["scaling"] = policy.scaling.offset, policy.scaling.scale, LARGEST
+    if command.c is not None:
+        write_atomic(command.c, to_c(genome, name=_identifier(command.c), **given))
+    if command.python is not None:
+        write_atomic(command.python, to_python(genome, **given))
+    if command.dot is not None:
+        write_atomic(command.dot, to_graphviz(genome))
+    if command.onnx is not None:
+        acting, name = (network, "output") if policy is None else (ActingChampion(policy), "action")
+        metadata = {"neatq": "\n".join(comment)}
+        to_onnx(acting, command.onnx, output_name=name, metadata=metadata)
+
+
+def _champion_at(path: Path) -> tuple[Genome, ChampionPolicy | None, list[str]]:
+    """The champion of a run, whose folder or champion.json is given, or any other genome.
+
+    With it come what acts with it in its run, and words on how it does.
+    """
     if path.name == CHAMPION and (path.parent / CHECKPOINT).is_file():
         path = path.parent
     if path.is_file():
-        return Travelling(genome=load_genome(path))
-    run, policy = load_run(path), load_policy(path)
+        return load_genome(path), None, []
+    run = load_run(path)
+    policy = load_policy(run)
     if not isinstance(policy, ChampionPolicy):
         raise ConfigError(f"{path}: {run.config.arm} has a table and no network to export")
-    scaling = None
-    if isinstance(run.config.world, GymnasiumConfig):
-        facts = EnvFacts.from_dict(json.loads((path / SCALING).read_bytes()))
-        scaling = facts.scaling
-    network = run.config.network
-    acting = ActingChampion(policy, scaling, double_activation=network.double_activation)
-    comment = (
+    comment = [
         f"The champion of {run.config.arm} on {run.config.task}.",
         _what_it_takes(policy),
         *what_it_gives(policy.heads, _first_choice(policy.interface) or 0),
         *_what_is_whole(policy.interface),
-    )
-    if network.double_activation:
-        comment += (
+    ]
+    if policy.twice:
+        comment += [
             "Twice a tick: after each call, call it with the observation before (zeros at first),",
             "and ignore what it gives; the ONNX file does so itself.",
-        )
-    genome, evaluation = run.champion(), network.evaluation
-    return Travelling(
-        genome=genome, evaluation=evaluation, acting=acting, scaling=scaling, comment=comment
-    )
+        ]
+    return run.champion(), policy, comment
 
 
 def _first_choice(interface: Interface | None) -> int | None:

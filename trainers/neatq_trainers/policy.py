@@ -40,6 +40,7 @@ class ChampionPolicy(nn.Module):
 
     Attributes:
         network: The champion as a torch module.
+        twice: Whether it is activated twice; then the state ends with the observation before.
     """
 
     def __init__(
@@ -53,10 +54,13 @@ class ChampionPolicy(nn.Module):
     ) -> None:
         super().__init__()
         self.network, self.heads, self.interface = network, heads, interface
-        self._scaling = None  # no buffers: rounded with the network they would scale otherwise
+        self.scaling, self._columns = (
+            scaling,
+            None,
+        )  # no buffers: rounded with the network they would scale otherwise
         if scaling is not None:
-            self._scaling = torch.from_numpy(scaling.offset), torch.from_numpy(scaling.scale)
-        self._twice = double_activation and network.state_size > 0
+            self._columns = torch.from_numpy(scaling.offset), torch.from_numpy(scaling.scale)
+        self.twice = double_activation and network.state_size > 0
         self.reset()
 
     def reset(self) -> None:
@@ -66,7 +70,7 @@ class ChampionPolicy(nn.Module):
     @property
     def state_size(self) -> int:
         """Values that the policy keeps from one step to the next; 0 if it is not recurrent."""
-        return self.network.state_size + (self.network.inputs if self._twice else 0)
+        return self.network.state_size + (self.network.inputs if self.twice else 0)
 
     def initial_state(self, batch: Sequence[int] = ()) -> Tensor:
         """The state where an episode begins [*batch, state_size]."""
@@ -96,8 +100,8 @@ class ChampionPolicy(nn.Module):
                 f"expected a batch {list(self._state.shape[:-1])} of observations, as before, got "
                 f"{list(seen.shape[:-1])}; call reset() where other episodes begin"
             )
-        best, self._state = self._step(seen, self._state)
-        return self._act(best, isinstance(observation, Tensor))
+        best, self._state = self.act(seen, self._state)
+        return self._own(best, isinstance(observation, Tensor))
 
     @torch.no_grad()
     def step(self, observation: Any, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -110,8 +114,8 @@ class ChampionPolicy(nn.Module):
         """
         seen = self._read(observation)
         state = self.initial_state(seen.shape[:-1]) if state is None else state
-        best, state = self._step(seen, state)
-        return self._act(best, True), state
+        best, state = self.act(seen, state)
+        return self._own(best, True), state
 
     @torch.no_grad()
     def predict(
@@ -138,19 +142,30 @@ class ChampionPolicy(nn.Module):
             if episode_start is not None:
                 begins = torch.as_tensor(episode_start, device=first.device).bool()
                 before = torch.where(begins.reshape(seen.shape[:-1]).unsqueeze(-1), first, before)
-        best, after = self._step(seen, before)
+        best, after = self.act(seen, before)
         kept = (after.cpu().numpy(),) if self.state_size else None
-        return self._act(best, isinstance(observation, Tensor)), kept
+        return self._own(best, isinstance(observation, Tensor)), kept
 
-    def _step(self, seen: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """The best action [*batch, A], as the heads give it, and the next state."""
-        if not self._twice:
+    def act(self, seen: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """The best action [*batch, A], as the heads give it, and the next state.
+
+        What is `seen` are scaled observations [*batch, inputs].
+        """
+        if not self.twice:
             output, state = self.network.step(seen, state)
             return self.heads.best(output), state
         size = self.network.state_size
         output, kept = self.network.step(seen, state[..., :size])
         kept = self.network.step(state[..., size:], kept)[1]
         return self.heads.best(output), torch.cat([kept, seen], -1)
+
+    def scaled(self, observation: Tensor) -> Tensor:
+        """What the network reads of flat observations [*batch, inputs]."""
+        weight, seen = self.network.weight, observation
+        if self._columns is not None:
+            offset, scale = (one.to(weight.device) for one in self._columns)
+            seen = ((seen.double() - offset) / scale).clamp(-LARGEST, LARGEST)
+        return seen.to(weight.dtype)
 
     def _read(self, observation: Any) -> Tensor:
         """Scaled observations [*batch, inputs]."""
@@ -171,13 +186,9 @@ class ChampionPolicy(nn.Module):
                     f"expected an observation of shape [{expected}], got {list(observation.shape)}"
                 )
             observation = observation.reshape(*observation.shape[:lead], inputs)
-        seen = observation.double()
-        if self._scaling is not None:
-            offset, scale = (one.to(weight.device) for one in self._scaling)
-            seen = ((seen - offset) / scale).clamp(-LARGEST, LARGEST)
-        return seen.to(weight.dtype)
+        return self.scaled(observation)
 
-    def _act(self, action: Tensor, as_tensor: bool) -> Any:
+    def _own(self, action: Tensor, as_tensor: bool) -> Any:
         """The environment's own actions for [*batch, A]."""
         own: Any = action.cpu().numpy()
         if self.interface is not None:
