@@ -54,10 +54,8 @@ class ChampionPolicy(nn.Module):
     ) -> None:
         super().__init__()
         self.network, self.heads, self.interface = network, heads, interface
-        self.scaling, self._columns = (
-            scaling,
-            None,
-        )  # no buffers: rounded with the network they would scale otherwise
+        self.scaling, self._columns = scaling, None
+        # No buffers: rounded with the network they would scale otherwise.
         if scaling is not None:
             self._columns = torch.from_numpy(scaling.offset), torch.from_numpy(scaling.scale)
         self.twice = double_activation and network.state_size > 0

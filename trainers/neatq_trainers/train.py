@@ -203,12 +203,8 @@ def resume(
             return _read_only(folder, length, error)
         folder = load_run(path)  # as whoever trained in it has left it
         folder.remove_leftovers()
-        state = folder.load(**length)
-        config, states, parts = (
-            folder.config,
-            state["runs"],
-            folder.config.split(len(state["runs"])),
-        )
+        state, config = folder.load(**length), folder.config
+        states, parts = state["runs"], config.split(len(state["runs"]))
         facts = None if state["facts"] is None else EnvFacts.from_dict(state["facts"])
         everybody, count = (
             [kind() for kind in BUILT_IN] + list(callbacks),
