@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
-from torch.optim import Optimizer
+from torch.optim import LBFGS, Optimizer
 
 if TYPE_CHECKING:
     from neatq_torch.network.population import PopulationNetwork
@@ -30,8 +31,13 @@ class SeparateStates:
                 f"torch.optim.Adam(network.parameters()); got one over {len(groups)} groups of "
                 "other parameters"
             )
+        if isinstance(optimizer, LBFGS):
+            raise ValueError("LBFGS computes with all parameters as one: make one for each network")
         if weight in optimizer.state:
-            raise ValueError("expected an optimiser that made no step yet, got one with a state")
+            raise ValueError(
+                "expected an optimiser that made no step yet, got one with a state; Adagrad has "
+                "one from the beginning, so RMSprop is the nearest that can be separated"
+            )
         self.network, self.births = network, list(network.births)
         self.rows = [nn.Parameter(row) for row in weight.detach()]
         self.gradient: Tensor | None = None
@@ -39,7 +45,24 @@ class SeparateStates:
         optimizer.register_step_pre_hook(self._before)
         optimizer.register_step_post_hook(self._after)
 
-    def _before(self, optimizer: Optimizer, *_: Any) -> None:
+    def _before(
+        self, optimizer: Optimizer, given: Sequence[Any], named: Mapping[str, Any]
+    ) -> tuple[tuple[Any, ...], dict[str, Any]] | None:
+        """Before `optimizer.step(*given, **named)`; returns what it is called with instead."""
+        self._deal(optimizer)
+        closure = given[1] if len(given) > 1 else named.get("closure")
+        if closure is None:
+            return None
+
+        def dealing() -> Any:
+            self._after()  # gradients are for `weight` while the closure computes them
+            loss = closure()
+            self._deal(optimizer)
+            return loss
+
+        return (optimizer,), {**named, "closure": dealing}
+
+    def _deal(self, optimizer: Optimizer) -> None:
         weight, births = self.network.weight, self.network.births
         self.gradient, weight.grad = weight.grad, None
         for slot, row in enumerate(self.rows):

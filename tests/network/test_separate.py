@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
-from torch.optim import SGD, Adam, AdamW, Optimizer
+from torch.optim import LBFGS, SGD, Adagrad, Adam, AdamW, Optimizer
 
 from neatq_torch.genome import Genome, InnovationLedger, MutationConfig, initial_genome, mutate
 from neatq_torch.network import GenomeNetwork, PopulationNetwork
@@ -136,3 +136,43 @@ def test_an_optimiser_that_does_not_fit_is_refused() -> None:
     optimizer.step()
     with pytest.raises(ValueError, match="that made no step yet"):
         network.separate(optimizer)
+
+
+def test_an_optimiser_that_treats_parameters_together_or_has_a_state_at_once_is_refused() -> None:
+    network = PopulationNetwork([grown(0, 3), grown(1, 3)])
+    with pytest.raises(ValueError, match="LBFGS computes with all parameters as one"):
+        network.separate(LBFGS(network.parameters()))
+    with pytest.raises(ValueError, match="Adagrad has one from the beginning"):
+        network.separate(Adagrad(network.parameters()))
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_a_step_with_a_closure_equals_a_step_after_it(named: bool) -> None:
+    def trained(step: Callable[[Optimizer, Callable[[], Tensor]], Tensor]) -> Tensor:
+        network = PopulationNetwork([grown(0, 3), grown(1, 3)])
+        optimizer = Adam(network.parameters(), lr=0.1)
+        network.separate(optimizer)
+        for count in range(6):
+            if count == 3:
+                network.replace(1, grown(2, 3))
+            x = torch.full((2, 4, 3), 0.1 * count)
+
+            def closure(x: Tensor = x) -> Tensor:
+                optimizer.zero_grad()
+                loss = loss_of(network(x), x)
+                loss.backward()
+                return loss
+
+            assert step(optimizer, closure).ndim == 0
+            assert network.weight.grad is not None
+        return network.weight.detach()
+
+    def at_once(optimizer: Optimizer, closure: Callable[[], Tensor]) -> Tensor:
+        return optimizer.step(closure=closure) if named else optimizer.step(closure)  # type: ignore[return-value]
+
+    def after(optimizer: Optimizer, closure: Callable[[], Tensor]) -> Tensor:
+        loss = closure()
+        optimizer.step()
+        return loss
+
+    assert torch.equal(trained(at_once), trained(after))
