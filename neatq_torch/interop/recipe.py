@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from neatq_torch.genome import ACTIVATIONS, Genome, NodeKind, node_levels
 from neatq_torch.kinds import ConfigError
-from neatq_torch.network import Evaluation
+from neatq_torch.network import Evaluation, check_evaluation
 
 Scaling = tuple[ArrayLike, ArrayLike, float]
 """Offset and scale [inputs], and the largest value: a network that was trained on scaled
@@ -61,6 +61,7 @@ class Recipe:
     @staticmethod
     def of(genome: Genome, evaluation: Evaluation) -> Recipe:
         """The computation of a genome's network; see `Evaluation`."""
+        check_evaluation(evaluation)
         kind = genome.node_kind
         sensor = kind <= NodeKind.BIAS
         on = np.flatnonzero(genome.link_enabled)

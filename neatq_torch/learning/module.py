@@ -35,9 +35,9 @@ class GenomeModule(TensorDictModuleBase):
     """A network or a loaded policy as a TorchRL policy; a recurrent one remembers its episode.
 
     Reads `observation` [*batch, inputs] and writes `action`. If it is recurrent, it also reads
-    `network_state` [*batch, state_size] and `is_init` [*batch, 1] (of TorchRL's `InitTracker`),
-    both of which may be missing, and writes `("next", "network_state")`. An episode begins with the
-    initial state.
+    `network_state` [*batch, state_size] and `is_init` [*batch, 1] or [*batch] (of TorchRL's
+    `InitTracker`), both of which may be missing, and writes `("next", "network_state")`. An
+    episode begins with the initial state.
 
     An environment must know of the state, as of that of an `LSTMModule`: append
     `make_tensordict_primer()` and `InitTracker()` to it; a `Collector` does so by itself
@@ -84,7 +84,7 @@ class GenomeModule(TensorDictModuleBase):
     @dispatch(auto_batch_size=False)
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Add the action, and the state for the next step, to `tensordict`."""
-        observation = tensordict.get(self.in_keys[0])
+        observation = tensordict[self.in_keys[0]]
         output, kept = self.module.step(observation, self._state(tensordict))
         action = output if self.heads is None else self.heads.best(output)
         tensordict.set(self.out_keys[0], action)
@@ -95,7 +95,9 @@ class GenomeModule(TensorDictModuleBase):
         if not self.recurrent or (state := tensordict.get(self.in_keys[1], None)) is None:
             return None
         begins = tensordict.get("is_init", None)
-        return state if begins is None else state.masked_fill(begins, 0.0)
+        if begins is None:
+            return state
+        return state.masked_fill(begins.reshape(*state.shape[:-1], 1), 0.0)
 
     def make_tensordict_primer(self) -> TensorDictPrimer:
         """The transform by which an environment knows of the state; empty if there is none."""

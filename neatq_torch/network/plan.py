@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import blake2b
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from neatq_torch.genome.genome import Genome
 from neatq_torch.genome.graph import node_levels
 from neatq_torch.genome.rules import ACTIVATIONS, NodeKind
+from neatq_torch.kinds import ConfigError
 
 Evaluation = Literal["settle", "synchronous"]
 """`settle`: forward links are evaluated in order within one call; recurrent links read the call
@@ -124,12 +125,23 @@ class GenomePlan:
     digest: bytes
 
 
+def check_evaluation(evaluation: str) -> None:
+    """Refuse, as a ConfigError, what is no `Evaluation`: it would be taken for `settle`."""
+    if evaluation not in get_args(Evaluation):
+        expected = " or ".join(map(repr, get_args(Evaluation)))
+        raise ConfigError(f"evaluation: expected {expected}; got {evaluation!r}")
+
+
 def compile_genome(genome: Genome, evaluation: Evaluation) -> GenomePlan:
     """A valid genome's enabled links and nodes in evaluation order, to be read only.
 
     Most genomes of a population differ in weights only, so the plans of the last few thousand
     structures are kept.
+
+    Raises:
+        ConfigError: There is no such evaluation.
     """
+    check_evaluation(evaluation)
     columns = (
         *(genome.node_id, genome.node_kind, genome.node_activation),
         *(genome.link_source, genome.link_target, genome.link_enabled, genome.link_recurrent),

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 class StatefulNetwork(nn.Module):
     """Networks with a memory: each call goes on from the one before; `reset` begins anew.
 
+    A network that `replace` put in begins with a state of zeros.
+
     The state is detached between calls: gradients reach the weights through the latest call alone.
     Whoever wants them through time calls `network.step`. The state is no part of `state_dict`.
 
@@ -33,6 +35,7 @@ class StatefulNetwork(nn.Module):
         super().__init__()
         self.network = network
         self.state: Tensor | None = None
+        self._births = list(network.births)
 
     def forward(self, observation: Any) -> Tensor:
         """Outputs [*shape, *batch, outputs] for observations [*shape, *batch, inputs].
@@ -48,12 +51,22 @@ class StatefulNetwork(nn.Module):
                 f"expected a batch {list(self.state.shape[lead:-1])} of observations, as in the "
                 f"calls before, got {list(batch)}; call reset() where another batch begins"
             )
-        if self.state is not None:  # a genome that `replace` put in may keep more
-            missing = network.state_size - self.state.shape[-1]
-            self.state = nn.functional.pad(self.state, (0, missing))
+        if self._births != network.births:
+            self._forget_replaced()
         output, state = network.step(observation, self.state)
         self.state = state.detach()
         return output
+
+    def _forget_replaced(self) -> None:
+        """Let networks begin anew that were put in since the call before; one may keep more."""
+        births, network = list(self.network.births), self.network
+        fresh = [now != then for now, then in zip(births, self._births, strict=True)]
+        self._births = births
+        if self.state is not None:
+            rest = self.state.ndim - len(network.shape)
+            begins = torch.tensor(fresh, device=self.state.device).view(*network.shape, *[1] * rest)
+            kept = self.state.masked_fill(begins, 0.0)
+            self.state = nn.functional.pad(kept, (0, network.state_size - kept.shape[-1]))
 
     def reset(self, begins: Tensor | None = None) -> None:
         """Forget, all or where `begins` [*shape, *batch] is true: there an episode begins."""

@@ -242,3 +242,11 @@ def test_a_scaling_that_does_not_fit_is_refused(write: Callable[..., str]) -> No
         write(small(), scaling=([0.0, 0.0], [1.0], 10.0))
     with pytest.raises(ConfigError, match="finite scales other than 0"):
         write(small(), scaling=([0.0], [1e-60], 10.0))
+
+
+def test_an_evaluation_that_does_not_exist_is_refused() -> None:
+    other: Any = "sync"
+    genome = initial_genome(2, 1, rng=np.random.default_rng(0))
+    for make in (to_c, to_python):
+        with pytest.raises(ConfigError, match="expected 'settle' or 'synchronous'; got 'sync'"):
+            make(genome, evaluation=other)

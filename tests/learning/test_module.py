@@ -218,3 +218,23 @@ def test_rows_that_do_not_fit_are_refused() -> None:
         EpsilonGreedy((3,), seeds=[1])
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         assert explore(torch.tensor([[0.0, 1.0]])).tolist() == [1]
+
+
+def test_where_episodes_begin_may_lack_the_last_dimension() -> None:
+    policy = GenomeModule(network_of(PENDULUM, recurrent=True))
+    given = {
+        "observation": torch.rand(5, 3),
+        "network_state": torch.ones(5, policy.module.state_size),
+    }
+    begins = torch.tensor([True, False, True, False, False])
+    outputs = [
+        policy(TensorDict({**given, "is_init": one}, [5]))["action"]
+        for one in (begins, begins.unsqueeze(-1))
+    ]
+    assert torch.equal(*outputs)
+
+
+def test_an_observation_that_is_missing_is_named() -> None:
+    policy = GenomeModule(network_of(PENDULUM, recurrent=False))
+    with pytest.raises(KeyError, match="observation"):
+        policy(TensorDict({"seen": torch.rand(5, 3)}, [5]))

@@ -22,6 +22,7 @@ from neatq_torch.genome import (
     initial_genome,
     mutate,
 )
+from neatq_torch.kinds import ConfigError
 from neatq_torch.network import Evaluation, GenomeNetwork, PopulationNetwork
 
 GROWTH = MutationConfig(add_node_prob=0.5, add_link_prob=0.5, toggle_enable_prob=0.3)
@@ -411,3 +412,22 @@ def test_a_step_is_exported_and_compiled(which: int) -> None:
     for call in (program, compiled):
         found, wanted = call(*rows(stepping.network, 9)), stepping(*rows(stepping.network, 9))
         torch.testing.assert_close(found, wanted)
+
+
+def test_a_network_that_was_put_in_begins_without_the_memory_of_the_one_before() -> None:
+    running = PopulationNetwork([echo(), echo()]).stateful()
+    for _ in range(2):
+        running(torch.ones(2, 3, 1))
+    running.network.replace(0, echo())
+    assert running(torch.ones(2, 3, 1))[..., 0].tolist() == [[1.0] * 3, [1.75] * 3]
+    assert running(torch.ones(2, 3, 1))[..., 0].tolist() == [[1.5] * 3, [1.875] * 3]
+    alone = GenomeNetwork(echo()).stateful()
+    alone(torch.ones(1))
+    alone.network.replace(0, echo())
+    assert alone(torch.ones(1)).item() == 1.0
+
+
+def test_an_evaluation_that_does_not_exist_is_refused() -> None:
+    other: Any = "sync"
+    with pytest.raises(ConfigError, match="expected 'settle' or 'synchronous'; got 'sync'"):
+        GenomeNetwork(echo(), evaluation=other)

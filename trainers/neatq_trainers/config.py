@@ -60,7 +60,7 @@ class NetworkConfig:
     value_range: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        check_fields(self, candidates="[1, inf]")
+        check_fields(self, candidates="[1, inf]", evaluation=Evaluation)
         if self.value_range is not None:
             low, high = self.value_range
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
