@@ -13,12 +13,13 @@ import pytest
 import torch
 
 from neatq_envs.gymnasium_task import Interface
+from neatq_envs.random_play import ObservationScaling
 from neatq_torch.genome import Genome, load_genome, save_genome
 from neatq_torch.learning import CandidateHeads, DiscreteHeads, Heads
 from neatq_torch.network import GenomeNetwork
 from neatq_trainers.cli import main
 from neatq_trainers.config import RunConfig
-from neatq_trainers.export import what_it_gives
+from neatq_trainers.export import what_is_lost, what_it_gives
 from neatq_trainers.folder import CHAMPION
 from neatq_trainers.policy import ChampionPolicy, load_policy
 from neatq_trainers.train import start
@@ -176,6 +177,15 @@ def test_choices_are_told_with_the_number_of_the_first() -> None:
     assert what_it_gives(DiscreteHeads(2), -3)[0].startswith("action: k + -3 where")
     (single,) = what_it_gives(CandidateHeads(1, [-1.0], [2.0]), 0)
     assert single.endswith("clipped to [0, 1], low [-1.0], high [2.0].")
+    (small,) = what_it_gives(CandidateHeads(1, [-1e-8, 0.0], [1e-8, 1234567.0]), 0)
+    assert small.endswith("low [-1e-08, 0.0], high [1e-08, 1234567.0].")
+
+
+def test_observations_that_differ_less_than_single_precision_can_tell_are_told() -> None:
+    offset, scale = np.array([0.0, 1e9, 50.0]), np.array([1.0, 1e6, 1.0])
+    assert what_is_lost(None) == what_is_lost(ObservationScaling(offset, scale)) == []
+    first, second = what_is_lost(ObservationScaling(offset, np.array([1.0, 0.5, 1.0])))
+    assert "observation 1, which is around 1e+09" in first and second.startswith("differs by 0.5")
 
 
 @pytest.mark.parametrize(

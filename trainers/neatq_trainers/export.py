@@ -14,7 +14,7 @@ from gymnasium import spaces
 from torch import Tensor, nn
 
 from neatq_envs.gymnasium_task import Interface
-from neatq_envs.random_play import LARGEST
+from neatq_envs.random_play import LARGEST, ObservationScaling
 from neatq_torch.atomic import write_atomic
 from neatq_torch.genome import Genome, load_genome
 from neatq_torch.interop import to_c, to_graphviz, to_onnx, to_python
@@ -24,6 +24,9 @@ from neatq_torch.network import GenomeNetwork
 from neatq_trainers.commands import parse
 from neatq_trainers.folder import CHAMPION, CHECKPOINT, load_run
 from neatq_trainers.policy import ChampionPolicy, load_policy
+
+_TOLD_ERROR = 1e-3
+"""Error of a scaled observation, in single precision, beyond which that is told."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,6 +130,7 @@ def _champion_at(path: Path) -> tuple[Genome, ChampionPolicy | None, list[str]]:
         _what_it_takes(policy),
         *what_it_gives(policy.heads, _first_choice(policy.interface) or 0),
         *_what_is_whole(policy.interface),
+        *what_is_lost(policy.scaling),
     ]
     if policy.twice:
         comment += [
@@ -159,6 +163,21 @@ def _what_is_whole(interface: Interface | None) -> list[str]:
     return [f"The environment takes {words}: round whole numbers down, to the greatest at most."]
 
 
+def what_is_lost(scaling: ObservationScaling | None) -> list[str]:
+    """A warning where observations do not differ enough for what is not double precision."""
+    if scaling is None:
+        return []
+    lost = np.abs(scaling.offset) * np.finfo(np.float32).eps > _TOLD_ERROR * scaling.scale
+    if not lost.any():
+        return []
+    where = int(lost.argmax())
+    return [
+        f"In single precision, observation {where}, which is around {scaling.offset[where]:g} and",
+        f"differs by {scaling.scale[where]:g}, loses digits that the policy reads: of what is "
+        "written, the Python source alone acts as it does.",
+    ]
+
+
 def what_it_gives(heads: Heads, first: int) -> list[str]:
     """How an action is read from outputs, in words; `first` is the action that choice 0 means."""
     if isinstance(heads, DiscreteHeads):
@@ -170,7 +189,7 @@ def what_it_gives(heads: Heads, first: int) -> list[str]:
     low, high = heads.low.tolist(), (heads.low + heads.span).tolist()
     lines = [
         f"action: low + (high - low) * u, u being outputs clipped to [0, 1], "
-        f"low {[round(one, 6) for one in low]}, high {[round(one, 6) for one in high]}."
+        f"low {[float(f'{one:.7g}') for one in low]}, high {[float(f'{one:.7g}') for one in high]}."
     ]
     if candidates > 1:
         first_value = candidates * actions
