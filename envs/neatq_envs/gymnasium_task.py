@@ -20,7 +20,13 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces.utils import flatten_space
 
-from neatq_envs.actions import MOST_WHOLE_NUMBERS, ActionPart, action_parts, own_actions
+from neatq_envs.actions import (
+    MOST_ACTIONS,
+    MOST_WHOLE_NUMBERS,
+    ActionPart,
+    action_parts,
+    own_actions,
+)
 from neatq_envs.checks import from_json
 from neatq_envs.observations import (
     MOST_OBSERVATIONS,
@@ -223,6 +229,14 @@ def _check_actions(space: Any, name: str) -> None:
         raise TaskError(
             f"{begin} the actions {space}; supported are Discrete, Box with finite bounds, "
             f"MultiDiscrete, MultiBinary, and Dict and Tuple of them; {other}"
+        )
+    choices = isinstance(space, spaces.Discrete)
+    count = int(space.n) if choices else sum(part.low.size for part in parts)
+    if count > MOST_ACTIONS:
+        what = "actions to choose from" if choices else "numbers in an action"
+        raise TaskError(
+            f"{begin} {count} {what}; supported are at most {MOST_ACTIONS}, as a network begins "
+            f"with a link from every input to each; {other}"
         )
     low, high = (np.concatenate([getattr(part, end) for part in parts]) for end in ("low", "high"))
     with np.errstate(all="ignore"):

@@ -130,6 +130,8 @@ def test_what_is_not_of_the_space_is_named_by_its_part(value: Any, pattern: str)
         ({"acts": "point"}, "one action only"),
         ({"acts": "vast"}, "more than 16777216 whole numbers"),
         ({"acts": "wide"}, "actions without bounds"),
+        ({"acts": "choices"}, "has 513 actions to choose from; supported are at most 512"),
+        ({"acts": "crowd"}, "has 513 numbers in an action; supported are at most 512"),
         ({"observes": "screen"}, r"images .* not for these networks.*TransformObservation"),
         ({"observes": "floats"}, "images .* not for these networks"),
         ({"observes": "seen"}, "images .* not for these networks"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import os
 import sys
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -26,6 +27,8 @@ ACTIONS: dict[str, spaces.Space[Any]] = {
     "dict": spaces.Dict({"gear": spaces.Discrete(3, start=1), "wheel": spaces.Box(-1, 1, (2,))}),
     "tuple": spaces.Tuple((spaces.MultiBinary(2), spaces.Box(0, 5, (1,), np.int32))),
     "vast": spaces.Box(-(2**62), 2**62, (1,), np.int64),
+    "choices": spaces.Discrete(513),
+    "crowd": spaces.MultiBinary(513),
     "wide": spaces.Box(-1e308, 1e308, (1,), np.float64),
 }
 OBSERVATIONS: dict[str, spaces.Space[Any]] = {
@@ -101,6 +104,8 @@ class Strange(gymnasium.Env[Any, Any]):
         self.how, self.when, self.after, self.render_mode = how, when, after, render_mode
         if how == "exit when made":
             sys.exit(4)
+        if how == "goes elsewhere when made":
+            os.chdir(".." if Path.cwd().name == "here" else ".")
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         super().reset(seed=seed)
@@ -117,6 +122,8 @@ class Strange(gymnasium.Env[Any, Any]):
 
     def step(self, action: Any) -> Any:
         self.count += 1
+        if self.how == "goes elsewhere" and Path.cwd().name == "here":
+            os.chdir("..")
         seen, reward, over = self.np_random.uniform(-1, 1, 2), -float(action[0] ** 2), False
         if not self._now:
             return seen, reward, self.count == 5, False, {}

@@ -200,3 +200,23 @@ def test_a_shorter_life_moves_the_age_at_which_rtneat_judges() -> None:
     apart = preset("wall", "rtneat").changed({"population.minimum_life_ticks": 70})
     apart = apart.changed({"world.scenario.lifetime_ticks": 300})
     assert apart.population.minimum_life_ticks == 70
+
+
+def test_a_close_that_fails_does_not_keep_a_run_from_its_end(neatq: Say) -> None:
+    with pytest.warns(UserWarning, match=r"close\(\) of .*: OSError: already gone"):
+        status, _, error = neatq(*short("Strange-v0", "neat", "how=close raises"), "--out", "run")
+    assert (status, error) == (0, "")
+
+
+@pytest.mark.parametrize("how", ["goes elsewhere", "goes elsewhere when made"])
+def test_an_environment_that_goes_elsewhere_leaves_the_run_where_it_was_asked_for(
+    neatq: Say, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    status, out, error = neatq(*short("Strange-v0", "neat", f"how={how}"), "--out", "run")
+    assert (status, error) == (0, "") and out.startswith("neatq: run: metrics.csv")
+    assert Path.cwd() == tmp_path
+    monkeypatch.chdir(tmp_path / "here")
+    assert load_run("run").result() is not None
+    status, out, error = neatq("resume", "run", "--generations", "3")
+    assert (status, error) == (0, "") and out.startswith("neatq: run: metrics.csv")
+    assert {one.name for one in tmp_path.iterdir()} == {"here"}

@@ -96,6 +96,7 @@ def _fail(message: str) -> int:
 
 def train_command(arguments: list[str]) -> None:
     """`neatq train`."""
+    here = Path.cwd()  # an environment may go elsewhere
     chosen, rest = _chosen(arguments)
     given = chosen_names(rest)
     default = arms.preset(
@@ -111,8 +112,8 @@ def train_command(arguments: list[str]) -> None:
     config = with_options(default, options)
     refuse_without_effect(config, given)
     folder = trainer.default_folder(config) if options.out is None else options.out
-    with _saying_how_to_go_on(folder):
-        _say(trainer.start(config, folder, workers=options.workers))
+    with _saying_how_to_go_on(folder, here):
+        _say(trainer.start(config, here / folder, workers=options.workers), folder)
 
 
 def _chosen(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
@@ -150,8 +151,9 @@ def resume_command(arguments: list[str]) -> None:
     """`neatq resume`."""
     command = parse(ResumeCommand, "resume", arguments)
     length = {name: getattr(command, name) for name in LENGTHS}
-    with _saying_how_to_go_on(command.folder):
-        _say(trainer.resume(command.folder, **length, workers=command.workers))
+    with _saying_how_to_go_on(command.folder, Path.cwd()):
+        run = trainer.resume(command.folder, **length, workers=command.workers)
+        _say(run, command.folder)
 
 
 def list_command(arguments: list[str]) -> None:
@@ -177,12 +179,12 @@ class RunStopped(Exception):
 
 
 @contextmanager
-def _saying_how_to_go_on(out: Path) -> Iterator[None]:
-    """Add to what stopped a run what to type to go on with it; it is in folder `out`."""
+def _saying_how_to_go_on(out: Path, here: Path) -> Iterator[None]:
+    """Add to what stopped a run what to type `here` to go on with it; it is in folder `out`."""
     try:
         yield
     except _STOPS as error:
-        begun = (out / CHECKPOINT).is_file()
+        begun = (here / out / CHECKPOINT).is_file()
         advice = f"; go on with: neatq resume {shlex.quote(str(out))}" if begun else ""
         raise RunStopped(error, advice) from error
 
@@ -195,9 +197,9 @@ def parse(command: type[Command], name: str, arguments: Sequence[str]) -> Comman
         raise ConfigError(str(error)) from error
 
 
-def _say(folder: RunFolder) -> None:
-    """Name what was written, and what is to be said of it."""
-    written = [name for name in FILES if (folder.path / name).is_file()]
-    print(f"neatq: {folder.path}: {', '.join(written)}")
+def _say(folder: RunFolder, name: Path) -> None:
+    """Say what was written, and what is to be said of it; the user calls the folder `name`."""
+    written = [one for one in FILES if (folder.path / one).is_file()]
+    print(f"neatq: {name}: {', '.join(written)}")
     for note in folder.notes:
         print(f"neatq: {note}")

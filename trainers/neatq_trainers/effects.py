@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any
 
+from neatq_envs.gymnasium_rows import close
 from neatq_envs.gymnasium_task import Interface
 from neatq_torch.evolution import (
     FixedConfig,
@@ -156,4 +157,4 @@ def _choices(config: RunConfig) -> int | None:
     try:
         return Interface.of(env, config.world.id).choices
     finally:
-        env.close()
+        close(env)

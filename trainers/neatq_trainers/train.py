@@ -142,7 +142,8 @@ def start(
     callbacks: Sequence[Callback] = (),
 ) -> RunFolder:
     """Make a run folder and train in it from the beginning; see `train`."""
-    path = default_folder(config) if out is None else Path(out)
+    # An environment may change the working directory.
+    path = (default_folder(config) if out is None else Path(out)).absolute()
     check_new(path)
     count = _checked(workers, config)
     parts = config.split(min(count, config.arenas))
@@ -195,6 +196,7 @@ def resume(
     Example:
         >>> resume("runs/wall-neatq-seed0", ticks=100_000)
     """
+    path = Path(path).absolute()  # an environment may change the working directory
     folder, length = load_run(path), {"ticks": ticks, "steps": steps, "generations": generations}
     with ending_by_signals(), ExitStack() as stack:
         try:
