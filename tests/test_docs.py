@@ -38,7 +38,7 @@ FACES = (neatq_torch, neatq_envs, neatq_torch.interop)
 UNDERSTOOD = (
     (neatq_trainers.train, "start"),
     (neatq_trainers.train, "resume"),
-    (neatq_trainers.export, "_travelling"),
+    (neatq_trainers.export, "_champion_at"),
     (neatq_trainers.info, "version_of"),
     (neatq_experiments.command, "run_comparison"),
     (neatq_experiments.command, "run_experiment"),
