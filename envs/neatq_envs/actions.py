@@ -14,10 +14,6 @@ MOST_WHOLE_NUMBERS = 2**24
 """Single precision, in which networks compute, cannot tell more of them apart."""
 
 
-MOST_ACTIONS = 512
-"""Choices, or numbers of an action: a network begins with a link from every input to each."""
-
-
 @dataclass(frozen=True)
 class ActionPart:
     """Numbers of an action that belong to one space that is no Dict and no Tuple.

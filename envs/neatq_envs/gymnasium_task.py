@@ -20,13 +20,7 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces.utils import flatten_space
 
-from neatq_envs.actions import (
-    MOST_ACTIONS,
-    MOST_WHOLE_NUMBERS,
-    ActionPart,
-    action_parts,
-    own_actions,
-)
+from neatq_envs.actions import MOST_WHOLE_NUMBERS, ActionPart, action_parts, own_actions
 from neatq_envs.checks import from_json
 from neatq_envs.observations import (
     MOST_OBSERVATIONS,
@@ -37,6 +31,7 @@ from neatq_envs.observations import (
 )
 
 PREFIX = "gym:"
+MOST_ACTIONS = MOST_OBSERVATIONS
 
 _EXTRAS = ("box2d", "mujoco", "classic-control", "toy-text")
 _REGISTER = "register what you wrapped in a module of yours: --task gym:my_module:MyEnv-v0"

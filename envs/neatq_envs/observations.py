@@ -63,6 +63,14 @@ def flat(space: Any, value: Any) -> np.ndarray:
     return np.concatenate([*_numbers(space, value, "observation")])
 
 
+def flat_rows(space: Any, value: Any) -> np.ndarray:
+    """Observations of any batch as numbers, float64 [*batch, inputs], each as `flat` reads it."""
+    batch = _batch_of(space, value)
+    each = (_one_of(space, value, batch, at) if batch else value for at in np.ndindex(batch))
+    rows = [flat(space, one) for one in each]
+    return np.reshape(rows, (*batch, flat_size(space) or 0))
+
+
 def input_name(space: Any, index: int, name: str = "observation") -> str:
     """What the number of an index in a flat observation is called: "observation['speed'][0]"."""
     if isinstance(space, spaces.Dict | spaces.Tuple):
@@ -80,6 +88,29 @@ def _parts(space: spaces.Dict | spaces.Tuple) -> list[tuple[Any, Any]]:
     if isinstance(space, spaces.Dict):
         return [*space.spaces.items()]
     return [*enumerate(space.spaces)]
+
+
+def _batch_of(space: Any, value: Any) -> tuple[int, ...]:
+    """What stands before the shape of the first part; `flat` tells what is no observation."""
+    try:
+        while isinstance(space, spaces.Dict | spaces.Tuple):
+            key, space = _parts(space)[0]
+            value = value[key]
+        return np.shape(value)[: max(np.ndim(value) - len(space.shape), 0)]
+    except (LookupError, TypeError, ValueError):
+        return ()
+
+
+def _one_of(space: Any, value: Any, batch: tuple[int, ...], at: tuple[int, ...]) -> Any:
+    """The observation at an index of a batch."""
+    if isinstance(space, spaces.Dict | spaces.Tuple):
+        parts = dict(_parts(space))
+        given = value.items() if isinstance(value, Mapping) else enumerate(value)
+        own = {k: _one_of(parts[k], one, batch, at) if k in parts else one for k, one in given}
+        return own if isinstance(space, spaces.Dict) else [*own.values()]
+    if np.shape(value)[: len(batch)] != batch:
+        raise Misfit(f"observation: expected a batch {list(batch)} in every part, got {value!r}")
+    return np.asarray(value)[at]
 
 
 def _numbers(space: Any, value: Any, name: str) -> Iterator[np.ndarray]:

@@ -95,9 +95,7 @@ class GenomeModule(TensorDictModuleBase):
         if not self.recurrent or (state := tensordict.get(self.in_keys[1], None)) is None:
             return None
         begins = tensordict.get("is_init", None)
-        if begins is None:
-            return state
-        return state.masked_fill(begins.reshape(*state.shape[:-1], 1), 0.0)
+        return state if begins is None else state.masked_fill(begins.reshape_as(state[..., :1]), 0)
 
     def make_tensordict_primer(self) -> TensorDictPrimer:
         """The transform by which an environment knows of the state; empty if there is none."""

@@ -128,8 +128,7 @@ class GenomePlan:
 def check_evaluation(evaluation: str) -> None:
     """Refuse, as a ConfigError, what is no `Evaluation`: it would be taken for `settle`."""
     if evaluation not in get_args(Evaluation):
-        expected = " or ".join(map(repr, get_args(Evaluation)))
-        raise ConfigError(f"evaluation: expected {expected}; got {evaluation!r}")
+        raise ConfigError(f"evaluation: expected 'settle' or 'synchronous'; got {evaluation!r}")
 
 
 def compile_genome(genome: Genome, evaluation: Evaluation) -> GenomePlan:
@@ -137,9 +136,6 @@ def compile_genome(genome: Genome, evaluation: Evaluation) -> GenomePlan:
 
     Most genomes of a population differ in weights only, so the plans of the last few thousand
     structures are kept.
-
-    Raises:
-        ConfigError: There is no such evaluation.
     """
     check_evaluation(evaluation)
     columns = (

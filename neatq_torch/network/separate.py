@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -34,10 +33,8 @@ class SeparateStates:
         if isinstance(optimizer, LBFGS):
             raise ValueError("LBFGS computes with all parameters as one: make one for each network")
         if weight in optimizer.state:
-            raise ValueError(
-                "expected an optimiser that made no step yet, got one with a state; Adagrad has "
-                "one from the beginning, so RMSprop is the nearest that can be separated"
-            )
+            words = "got one with a state (Adagrad has one from the beginning)"
+            raise ValueError(f"expected an optimiser that made no step yet, {words}")
         self.network, self.births = network, list(network.births)
         self.rows = [nn.Parameter(row) for row in weight.detach()]
         self.gradient: Tensor | None = None
@@ -45,9 +42,7 @@ class SeparateStates:
         optimizer.register_step_pre_hook(self._before)
         optimizer.register_step_post_hook(self._after)
 
-    def _before(
-        self, optimizer: Optimizer, given: Sequence[Any], named: Mapping[str, Any]
-    ) -> tuple[tuple[Any, ...], dict[str, Any]] | None:
+    def _before(self, optimizer: Optimizer, given: Any, named: Any) -> Any:
         """Before `optimizer.step(*given, **named)`; returns what it is called with instead."""
         self._deal(optimizer)
         closure = given[1] if len(given) > 1 else named.get("closure")

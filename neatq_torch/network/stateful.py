@@ -59,9 +59,9 @@ class StatefulNetwork(nn.Module):
 
     def _forget_replaced(self) -> None:
         """Let networks begin anew that were put in since the call before; one may keep more."""
-        births, network = list(self.network.births), self.network
-        fresh = [now != then for now, then in zip(births, self._births, strict=True)]
-        self._births = births
+        network = self.network
+        fresh = [now != then for now, then in zip(network.births, self._births, strict=True)]
+        self._births = list(network.births)
         if self.state is not None:
             rest = self.state.ndim - len(network.shape)
             begins = torch.tensor(fresh, device=self.state.device).view(*network.shape, *[1] * rest)

@@ -184,8 +184,8 @@ def test_choices_are_told_with_the_number_of_the_first() -> None:
 def test_observations_that_differ_less_than_single_precision_can_tell_are_told() -> None:
     offset, scale = np.array([0.0, 1e9, 50.0]), np.array([1.0, 1e6, 1.0])
     assert what_is_lost(None) == what_is_lost(ObservationScaling(offset, scale)) == []
-    first, second = what_is_lost(ObservationScaling(offset, np.array([1.0, 0.5, 1.0])))
-    assert "observation 1, which is around 1e+09" in first and second.startswith("differs by 0.5")
+    (line,) = what_is_lost(ObservationScaling(offset, np.array([1.0, 0.5, 1.0])))
+    assert "too little for single precision: only Python" in line
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,12 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
+from gymnasium.vector.utils import concatenate, create_empty_array
 
 from neatq_envs.episodes import TEST, episode_seeds
 from neatq_envs.gymnasium_task import TaskError
@@ -220,3 +223,51 @@ def test_an_environment_that_goes_elsewhere_leaves_the_run_where_it_was_asked_fo
     status, out, error = neatq("resume", "run", "--generations", "3")
     assert (status, error) == (0, "") and out.startswith("neatq: run: metrics.csv")
     assert {one.name for one in tmp_path.iterdir()} == {"here"}
+
+
+@pytest.mark.parametrize("observes", ["box", "choice", "many", "binary", "dict", "tuple"])
+def test_a_policy_takes_a_batch_of_any_observations(neatq: Say, observes: str) -> None:
+    task = short("Plain-v0", "neat", "acts=many", f"observes={observes}")
+    assert neatq(*task, "--out", "run")[0] == 0
+    policy = load_policy("run")
+    assert isinstance(policy, ChampionPolicy) and policy.interface is not None
+    space = policy.interface.observation
+    seen = [space.sample() for _ in range(6)]
+    alone = np.stack([policy.predict(one)[0] for one in seen])
+    batch = concatenate(space, seen, create_empty_array(space, 6))
+    assert policy.predict(batch)[0].tolist() == alone.tolist()
+    twice = gymnasium.vector.utils.batch_space(space, 2)
+    pairs = create_empty_array(twice, 3)
+    concatenate(
+        twice,
+        [concatenate(space, seen[i : i + 2], create_empty_array(space, 2)) for i in (0, 2, 4)],
+        pairs,
+    )
+    assert policy.predict(pairs)[0].tolist() == alone.reshape(3, 2, -1).tolist()
+    assert policy.predict(create_empty_array(space, 0))[0].shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("observes", "value", "words"),
+    [
+        ("choice", 9, r"whole numbers from 5 to 7, got 9"),
+        ("choice", [5, 6.5], r"whole numbers from 5 to 7, got 6\.5"),
+        ("box", np.full((2, 2), np.nan), "expected an observation of numbers, got NaN"),
+        (
+            "dict",
+            {"place": np.zeros((3, 2)), "gear": [1, 2]},
+            r"a batch \[2\] in every part",
+        ),
+        ("dict", {"place": np.zeros((3, 2))}, r"expected the parts \['gear', 'place'\]"),
+        ("tuple", ([0, 1],), r"expected the parts \[0, 1\]"),
+        ("tuple", [1, np.ones((2, 2)), 4], r"expected the parts \[0, 1\]"),
+        ("many", [[0, 7], [0]], "expected numbers of the shape"),
+    ],
+)
+def test_what_a_policy_cannot_read_is_named(
+    neatq: Say, observes: str, value: Any, words: str
+) -> None:
+    task = short("Plain-v0", "neat", "acts=many", f"observes={observes}")
+    assert neatq(*task, "--out", "run")[0] == 0
+    with pytest.raises(ValueError, match=words):
+        load_policy("run")(value)

@@ -12,6 +12,7 @@ from gymnasium import spaces
 from torch import Tensor, nn
 
 from neatq_envs.gymnasium_task import Interface
+from neatq_envs.observations import flat_rows
 from neatq_envs.random_play import LARGEST, EnvFacts, ObservationScaling
 from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.genome import Genome, load_genome
@@ -169,21 +170,20 @@ class ChampionPolicy(nn.Module):
         """Scaled observations [*batch, inputs]."""
         weight, inputs = self.network.weight, self.network.inputs
         space = None if self.interface is None else self.interface.observation
-        if self.interface and not isinstance(space, spaces.Box | spaces.Discrete):
-            observation, space = self.interface.read(observation), None  # no batch of them
+        if not isinstance(space, spaces.Box | None):
+            given = observation.cpu() if isinstance(observation, Tensor) else observation
+            observation, space = flat_rows(space, given), None
         observation = torch.as_tensor(observation).to(weight.device)
-        if isinstance(space, spaces.Discrete):
-            number = observation.long() - int(space.start)
-            observation = nn.functional.one_hot(number, inputs)
-        else:
-            shape = space.shape if isinstance(space, spaces.Box) else (inputs,)
-            lead = observation.ndim - len(shape)
-            if lead < 0 or observation.shape[lead:] != shape:
-                expected = ", ".join(map(str, ("*batch", *shape)))
-                raise ValueError(
-                    f"expected an observation of shape [{expected}], got {list(observation.shape)}"
-                )
-            observation = observation.reshape(*observation.shape[:lead], inputs)
+        if observation.isnan().any():
+            raise ValueError("expected an observation of numbers, got NaN")
+        shape = (inputs,) if space is None else space.shape
+        lead = observation.ndim - len(shape)
+        if lead < 0 or observation.shape[lead:] != shape:
+            expected = ", ".join(map(str, ("*batch", *shape)))
+            raise ValueError(
+                f"expected an observation of shape [{expected}], got {list(observation.shape)}"
+            )
+        observation = observation.reshape(*observation.shape[:lead], inputs)
         return self.scaled(observation)
 
     def _own(self, action: Tensor, as_tensor: bool) -> Any:
@@ -194,7 +194,8 @@ class ChampionPolicy(nn.Module):
             own = self.interface.act(own.reshape(-1, action.shape[-1]))
             if isinstance(space, spaces.Dict | spaces.Tuple):
                 return own if batch else own[0]
-            own = np.stack(own).reshape(*batch, *(space.shape or ())) if batch else own[0]
+            shape = (*batch, *(space.shape or ()))
+            own = np.array(own, space.dtype).reshape(shape) if batch else own[0]
         return torch.as_tensor(own, device=action.device) if as_tensor else own
 
 
