@@ -33,8 +33,7 @@ class SeparateStates:
         if isinstance(optimizer, LBFGS):
             raise ValueError("LBFGS computes with all parameters as one: make one for each network")
         if weight in optimizer.state:
-            words = "got one with a state (Adagrad has one from the beginning)"
-            raise ValueError(f"expected an optimiser that made no step yet, {words}")
+            raise ValueError("expected one that made no step yet; Adagrad has a state at once")
         self.network, self.births = network, list(network.births)
         self.rows = [nn.Parameter(row) for row in weight.detach()]
         self.gradient: Tensor | None = None

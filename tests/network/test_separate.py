@@ -142,7 +142,7 @@ def test_an_optimiser_that_treats_parameters_together_or_has_a_state_at_once_is_
     network = PopulationNetwork([grown(0, 3), grown(1, 3)])
     with pytest.raises(ValueError, match="LBFGS computes with all parameters as one"):
         network.separate(LBFGS(network.parameters()))
-    with pytest.raises(ValueError, match="Adagrad has one from the beginning"):
+    with pytest.raises(ValueError, match="Adagrad has a state at once"):
         network.separate(Adagrad(network.parameters()))
 
 

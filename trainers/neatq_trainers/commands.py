@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import gc
 import io
+import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -90,6 +91,8 @@ def _status(error: BaseException, advice: str = "") -> int:
 
 
 def _fail(message: str) -> int:
+    with suppress(OSError):  # the working directory may be gone
+        message = message.replace(f"{Path.cwd()}{os.sep}", "")
     print(f"neatq: error: {message}", file=sys.stderr)
     return 2
 
@@ -152,8 +155,7 @@ def resume_command(arguments: list[str]) -> None:
     command = parse(ResumeCommand, "resume", arguments)
     length = {name: getattr(command, name) for name in LENGTHS}
     with _saying_how_to_go_on(command.folder, Path.cwd()):
-        run = trainer.resume(command.folder, **length, workers=command.workers)
-        _say(run, command.folder)
+        _say(trainer.resume(command.folder, **length, workers=command.workers), command.folder)
 
 
 def list_command(arguments: list[str]) -> None:

@@ -142,7 +142,6 @@ def start(
     callbacks: Sequence[Callback] = (),
 ) -> RunFolder:
     """Make a run folder and train in it from the beginning; see `train`."""
-    # An environment may change the working directory.
     path = (default_folder(config) if out is None else Path(out)).absolute()
     check_new(path)
     count = _checked(workers, config)
