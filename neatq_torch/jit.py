@@ -15,8 +15,8 @@ _TOLD = "NEATQ_COMPILES_IN_EACH_PROCESS"
 def cached_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`njit(cache=True, ...)`, which also works where nothing can be kept on disk.
 
-    Then each process compiles anew, and a warning says so: once, as workers and the worlds (see
-    `neatq_envs.jit`) learn from the environment that it was said.
+    Then each process compiles anew, and a warning says so: once, as workers learn from the
+    environment that it was said.
 
     Args:
         options: Further options of `numba.njit`.

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from neatq_envs.flags import ArenaFlags
-from neatq_envs.jit import kernel
 from neatq_envs.physics import Physics
 from neatq_envs.rewards import Rewards, flag_distance
 from neatq_envs.scenario import REWARD_DIMENSIONS, Scenario, ScenarioError
 from neatq_envs.sensors import IGNORE_ABOVE, Senses
+from neatq_torch.jit import cached_njit
 
 # Random numbers of one arena, of [seed, index here]. Flags have their own, so that their places do
 # not depend on how often robots respawn.
@@ -248,7 +248,7 @@ class Arena:
         return place, heading
 
 
-@kernel()
+@cached_njit()
 def steer(
     actions: np.ndarray, heading_rad: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[bool, np.ndarray, np.ndarray]:

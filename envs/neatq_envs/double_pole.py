@@ -16,8 +16,8 @@ import math
 import numpy as np
 from gymnasium.spaces import Box
 
-from neatq_envs.jit import kernel
 from neatq_envs.row_env import RowEnv, RowVectorEnv
+from neatq_torch.jit import cached_njit
 
 PAPER_START_RAD = math.radians(1)
 """Where the long pole starts."""
@@ -129,7 +129,7 @@ class DoublePoleVectorEnv(RowVectorEnv):
     task = DoublePole
 
 
-@kernel()
+@cached_njit()
 def step_row(state: np.ndarray, output: float) -> bool:
     """Do what `step` does with one row [6], for loops that are compiled themselves."""
     force = (output - 0.5) * FORCE_N
@@ -141,12 +141,12 @@ def step_row(state: np.ndarray, output: float) -> bool:
     return _alive_row(state)
 
 
-@kernel()
+@cached_njit()
 def _alive_row(state: np.ndarray) -> bool:
     return abs(state[0]) <= TRACK_M and abs(state[2]) <= FALLEN_RAD and abs(state[4]) <= FALLEN_RAD
 
 
-@kernel()
+@cached_njit()
 def _step_poles(state: np.ndarray, output: np.ndarray) -> np.ndarray:
     alive = np.empty(len(state), dtype=np.bool_)
     for row in range(len(state)):
@@ -154,7 +154,7 @@ def _step_poles(state: np.ndarray, output: np.ndarray) -> np.ndarray:
     return alive
 
 
-@kernel()
+@cached_njit()
 def _runge_kutta(y: tuple, force: float) -> tuple:
     """The state [6] one step of 0.01 s later."""
     first = _derivative(y, force)
@@ -165,7 +165,7 @@ def _runge_kutta(y: tuple, force: float) -> tuple:
     return _shifted(_shifted(once, second, STEP_S / 3), third, STEP_S / 3)
 
 
-@kernel()
+@cached_njit()
 def _shifted(y: tuple, slope: tuple, by: float) -> tuple:
     return (
         y[0] + by * slope[0],
@@ -177,7 +177,7 @@ def _shifted(y: tuple, slope: tuple, by: float) -> tuple:
     )
 
 
-@kernel()
+@cached_njit()
 def _derivative(y: tuple, force: float) -> tuple:
     """The rates of change of the six variables."""
     cart_force = force - CART_FRICTION * np.sign(y[1])
@@ -189,7 +189,7 @@ def _derivative(y: tuple, force: float) -> tuple:
     return y[1], cart, y[3], long_turn, y[5], short_turn
 
 
-@kernel()
+@cached_njit()
 def _pole(angle: float, rate: float, mass: float, half_length: float) -> tuple:
     """A pole's force on the cart (N), the mass it adds (kg) and its pull (m/s^2)."""
     sine, cosine = math.sin(angle), math.cos(angle)

@@ -18,8 +18,8 @@ from typing import Literal, get_args
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 
-from neatq_envs.jit import kernel
 from neatq_envs.row_env import RowEnv, RowVectorEnv
+from neatq_torch.jit import cached_njit
 
 CarStarts = Literal["uniform", "gym"]
 
@@ -97,7 +97,7 @@ class MountainCarVectorEnv(RowVectorEnv):
     task = MountainCar
 
 
-@kernel()
+@cached_njit()
 def _step_cars(state: np.ndarray, actions: np.ndarray) -> np.ndarray:
     done = np.empty(len(state), dtype=np.bool_)
     for row in range(len(state)):
@@ -106,7 +106,7 @@ def _step_cars(state: np.ndarray, actions: np.ndarray) -> np.ndarray:
     return done
 
 
-@kernel()
+@cached_njit()
 def _driven(place: float, velocity: float, push: int) -> tuple[float, float]:
     velocity += ENGINE * push - SLOPE * math.cos(3 * place)
     velocity = min(max(velocity, -MAX_SPEED), MAX_SPEED)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from neatq_envs.jit import kernel
+from neatq_torch.jit import cached_njit
 
 ROBOTS_PER_CELL = 16  # if spread evenly; with fewer, loops are too short to be fast
 
@@ -42,7 +42,7 @@ def grid_of(width: float, height: float, robots: int, least: float) -> Grid:
     return Grid(columns, rows, width / columns, height / rows)
 
 
-@kernel()
+@cached_njit()
 def friend_offsets(position: np.ndarray, grid: Grid, reach: float) -> np.ndarray:
     """The way from each robot to the middle of all within reach, itself included.
 
@@ -64,7 +64,7 @@ def friend_offsets(position: np.ndarray, grid: Grid, reach: float) -> np.ndarray
     return offsets
 
 
-@kernel()
+@cached_njit()
 def nearest_friend_squared(position: np.ndarray, grid: Grid) -> np.ndarray:
     """Squared distances [arenas, robots] to the nearest friend, infinite for a robot alone."""
     nearest = np.empty(position.shape[:2])
@@ -87,14 +87,14 @@ def nearest_friend_squared(position: np.ndarray, grid: Grid) -> np.ndarray:
     return nearest
 
 
-@kernel()
+@cached_njit()
 def _nearby_columns(cell: int, rings: int, grid: Grid) -> range:
     """The columns at most `rings` away from that of a cell."""
     column = cell // grid.rows
     return range(max(column - rings, 0), min(column + rings + 1, grid.columns))
 
 
-@kernel()
+@cached_njit()
 def _entries(cell: int, column: int, rings: int, grid: Grid, crowd: Sorted) -> tuple[int, int]:
     """The entries of a column whose rows are at most `rings` away from that of a cell."""
     row, bottom = cell % grid.rows, column * grid.rows
@@ -103,7 +103,7 @@ def _entries(cell: int, column: int, rings: int, grid: Grid, crowd: Sorted) -> t
     return crowd.start[first], crowd.start[last + 1]
 
 
-@kernel()
+@cached_njit()
 def _sort(place: np.ndarray, grid: Grid) -> Sorted:
     """Sort the robots at `place`, float64 [robots, 2], by counting those of each cell."""
     robots = len(place)
@@ -124,7 +124,7 @@ def _sort(place: np.ndarray, grid: Grid) -> Sorted:
     return Sorted(robot, start, x, y)
 
 
-@kernel()
+@cached_njit()
 def _add_friends(
     crowd: Sorted, own: tuple[int, int], others: tuple[int, int], reach: float, sums: np.ndarray
 ) -> None:
@@ -141,7 +141,7 @@ def _add_friends(
             friends[i] += near
 
 
-@kernel()
+@cached_njit()
 def _approach(
     crowd: Sorted, own: tuple[int, int], others: tuple[int, int], best: np.ndarray
 ) -> None:

@@ -14,10 +14,10 @@ import numpy as np
 import pymunk
 from pymunk import batch
 
-from neatq_envs.jit import kernel
 from neatq_envs.rays import barriers, ray_distances
 from neatq_envs.scenario import BORDER_INSET, Scenario
 from neatq_envs.walls import Wall
+from neatq_torch.jit import cached_njit
 
 # What robots of one Space cost when heaped up grows with the square of their number, even if
 # they pass through each other; those that do not meet may be dealt into several Spaces.
@@ -165,7 +165,7 @@ class Physics:
             self.teleport(lost, before)
 
 
-@kernel()
+@cached_njit()
 def _write_forces(force: np.ndarray, size: int, wished: np.ndarray, velocity: np.ndarray) -> None:
     """Write forces [arenas, rooms, rows, 2] that change velocities [arenas, robots, 2]."""
     for arena in range(len(wished)):
@@ -175,7 +175,7 @@ def _write_forces(force: np.ndarray, size: int, wished: np.ndarray, velocity: np
                 force[arena, robot // size, robot % size, axis] = change
 
 
-@kernel()
+@cached_njit()
 def _read_motion(motion: np.ndarray, size: int, robots: int) -> tuple[np.ndarray, np.ndarray]:
     """Places and velocities, float64 [arenas, robots, 2], of [arenas, rooms, rows, 4]."""
     place, velocity = np.empty((len(motion), robots, 2)), np.empty((len(motion), robots, 2))

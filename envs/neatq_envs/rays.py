@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from neatq_envs.jit import kernel
 from neatq_envs.walls import Wall
+from neatq_torch.jit import cached_njit
 
 
 class Barriers(NamedTuple):
@@ -37,7 +37,7 @@ def barriers(walls: Iterable[Wall], width: float, height: float, inset: float) -
     return Barriers(np.array(boxes).reshape(-1, 7), inset, width - inset, height - inset)
 
 
-@kernel()
+@cached_njit()
 def ray_distances(
     position: np.ndarray, ahead: np.ndarray, turns: np.ndarray, reach: float, barriers: Barriers
 ) -> np.ndarray:
@@ -77,20 +77,20 @@ def ray_distances(
     return distances
 
 
-@kernel()
+@cached_njit()
 def _turned(x: float, y: float, turns: np.ndarray, ray: int) -> tuple[float, float]:
     cosine, sine = turns[ray, 0], turns[ray, 1]
     return x * cosine - y * sine, y * cosine + x * sine
 
 
-@kernel()
+@cached_njit()
 def _exit(place: float, ray: float, low: float, high: float) -> float:
     """How far along a ray the slab low..high is left."""
     gap = high - place if ray > 0 else place - low
     return max(gap, 0.0) / max(abs(ray), 1e-12)
 
 
-@kernel()
+@cached_njit()
 def _box_distance(dx: float, dy: float, ray_x: float, ray_y: float, box: np.ndarray) -> float:
     """How far along a ray, (dx, dy) from its centre on, a box is met (Kay & Kajiya 1986)."""
     cosine, sine = box[2], box[3]
@@ -100,7 +100,7 @@ def _box_distance(dx: float, dy: float, ray_x: float, ray_y: float, box: np.ndar
     return max(enter, 0.0) if enter <= leave and leave >= 0 else np.inf
 
 
-@kernel()
+@cached_njit()
 def _slab(place: float, ray: float, half: float) -> tuple[float, float]:
     """Where a ray enters and leaves the slab -half..half."""
     # A ray along the slab never crosses it: a tiny component puts the crossings far away.

@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from neatq_envs.jit import kernel
 from neatq_envs.neighbours import grid_of, nearest_friend_squared
 from neatq_envs.scenario import Scenario
+from neatq_torch.jit import cached_njit
 
 STAND_GROUND, STICK_TOGETHER, APPROACH_FLAG = 0, 1, 2  # the order of REWARD_DIMENSIONS
 _NOBODY = np.empty((0, 0))
@@ -86,7 +86,7 @@ def flag_distance(position: np.ndarray, flag: np.ndarray) -> np.ndarray:
     return np.sqrt(way[..., 0] * way[..., 0] + way[..., 1] * way[..., 1])
 
 
-@kernel()
+@cached_njit()
 def _rewards(
     speed: np.ndarray,
     position: np.ndarray,
@@ -115,7 +115,7 @@ def _rewards(
     return vector, learning, distance
 
 
-@kernel()
+@cached_njit()
 def _learning(rewards: np.ndarray, gain: float, law: Law) -> float:
     """Weigh rewards, float64 [dimensions]; `gain` is the way made towards the flag, in units."""
     mean = 0.0

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from neatq_envs.jit import kernel
 from neatq_envs.neighbours import friend_offsets, grid_of
 from neatq_envs.rays import barriers, ray_distances
 from neatq_envs.scenario import BORDER_INSET, Scenario
+from neatq_torch.jit import cached_njit
 
 RAY_LENGTH = 50.0
 RAY_NEAR = 5.0  # a wall sensor reads min(1, RAY_NEAR / distance)
@@ -123,7 +123,7 @@ class Senses:
         return values
 
 
-@kernel()
+@cached_njit()
 def _write_values(
     values: np.ndarray,
     friend: int,
@@ -154,7 +154,7 @@ def _write_values(
                 value[friend + 1] += _angle_rad(x, y, ahead[arena, robot]) / (2 * math.pi)
 
 
-@kernel()
+@cached_njit()
 def _write_flag(
     values: np.ndarray, position: np.ndarray, ahead: np.ndarray, flag: np.ndarray
 ) -> None:
@@ -175,7 +175,7 @@ def _write_flag(
                     values[arena, robot, len(RADAR_SECTORS_DEG)] = near
 
 
-@kernel()
+@cached_njit()
 def _angle_rad(x: float, y: float, ahead: np.ndarray) -> float:
     """The angle from the heading to the left to a way (x, y), in (-pi, pi]."""
     along, across = ahead[0] * x + ahead[1] * y, ahead[0] * y - ahead[1] * x

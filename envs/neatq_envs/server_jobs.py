@@ -23,8 +23,8 @@ from __future__ import annotations
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 
-from neatq_envs.jit import kernel
 from neatq_envs.row_env import RowEnv, RowVectorEnv
+from neatq_torch.jit import cached_njit
 
 JOB_TYPES, AGES, AGE_STEPS = 4, 4, 50
 CHOICES = JOB_TYPES * AGES
@@ -105,13 +105,13 @@ class ServerJobsVectorEnv(RowVectorEnv):
     task = ServerJobs
 
 
-@kernel()
+@cached_njit()
 def _arrival(job: int) -> int:
     """The first step in which a job can be done."""
     return max(job - QUEUE + 1, 0)
 
 
-@kernel()
+@cached_njit()
 def _serve_rows(
     state: np.ndarray, actions: np.ndarray, utilities: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -126,7 +126,7 @@ def _serve_rows(
     return utility, empty
 
 
-@kernel()
+@cached_njit()
 def _chosen_job(jobs: np.ndarray, time: int, kind: int, age: int) -> int:
     """The youngest waiting job of a type and age, or else the oldest of all."""
     for job in range(min(QUEUE + time, JOBS) - 1, -1, -1):
@@ -138,7 +138,7 @@ def _chosen_job(jobs: np.ndarray, time: int, kind: int, age: int) -> int:
     return oldest
 
 
-@kernel()
+@cached_njit()
 def count_jobs(state: np.ndarray) -> np.ndarray:
     """How many jobs wait of each type and age, float32 [rows, 16], number 4 type + age."""
     counts = np.zeros((len(state), CHOICES), dtype=np.float32)
