@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from neatq_envs.observations import parts_of
+
 MOST_WHOLE_NUMBERS = 2**24
 """Single precision, in which networks compute, cannot tell more of them apart."""
 
@@ -47,7 +49,7 @@ class ActionPart:
 def action_parts(space: Any) -> list[ActionPart] | None:
     """The parts of an action space, in Gymnasium's order; None if points cannot stand for them."""
     if isinstance(space, spaces.Dict | spaces.Tuple):
-        parts = [action_parts(one) for one in _inner(space)]
+        parts = [action_parts(one) for _, one in parts_of(space)]
         return None if None in parts else [one for own in parts if own is not None for one in own]
     limits = _limits(space)
     if limits is None:
@@ -70,10 +72,6 @@ def own_actions(space: Any, parts: list[ActionPart], points: np.ndarray) -> list
         columns.append(part.own(points[:, first : first + part.low.size]))
         first += part.low.size
     return [_assembled(space, iter(columns), row) for row in range(len(points))]
-
-
-def _inner(space: spaces.Dict | spaces.Tuple) -> list[Any]:
-    return [*(space.spaces.values() if isinstance(space, spaces.Dict) else space.spaces)]
 
 
 def _limits(space: Any) -> tuple[Any, Any] | None:

@@ -31,7 +31,7 @@ def flat_size(space: Any) -> int | None:
     A Discrete value is as many, of which one is 1. None if networks cannot read the space.
     """
     if isinstance(space, spaces.Dict | spaces.Tuple):
-        sizes = [flat_size(part) for _, part in _parts(space)]
+        sizes = [flat_size(part) for _, part in parts_of(space)]
         return None if None in sizes else sum(size for size in sizes if size is not None)
     if isinstance(space, spaces.Discrete):
         return int(space.n)
@@ -45,7 +45,7 @@ def flat_size(space: Any) -> int | None:
 def holds_images(space: Any) -> bool:
     """Whether an observation is a picture, or holds one."""
     if isinstance(space, spaces.Dict | spaces.Tuple):
-        return any(holds_images(part) for _, part in _parts(space))
+        return any(holds_images(part) for _, part in parts_of(space))
     if not isinstance(space, spaces.Box) or len(space.shape) < 2:
         return False
     large = math.prod(space.shape) > MOST_OBSERVATIONS and len(space.shape) > 2
@@ -74,7 +74,7 @@ def flat_rows(space: Any, value: Any) -> np.ndarray:
 def input_name(space: Any, index: int, name: str = "observation") -> str:
     """What the number of an index in a flat observation is called: "observation['speed'][0]"."""
     if isinstance(space, spaces.Dict | spaces.Tuple):
-        for key, part in _parts(space):
+        for key, part in parts_of(space):
             size = flat_size(part) or 0
             if index < size:
                 return input_name(part, index, f"{name}[{key!r}]")
@@ -84,7 +84,8 @@ def input_name(space: Any, index: int, name: str = "observation") -> str:
     return f"{name}[{', '.join(place)}]" if place else name
 
 
-def _parts(space: spaces.Dict | spaces.Tuple) -> list[tuple[Any, Any]]:
+def parts_of(space: spaces.Dict | spaces.Tuple) -> list[tuple[Any, Any]]:
+    """The spaces in a space, each with its key or number."""
     if isinstance(space, spaces.Dict):
         return [*space.spaces.items()]
     return [*enumerate(space.spaces)]
@@ -115,7 +116,7 @@ def _one_of(space: Any, value: Any, batch: tuple[int, ...], at: tuple[int, ...])
 
 def _numbers(space: Any, value: Any, name: str) -> Iterator[np.ndarray]:
     if isinstance(space, spaces.Dict | spaces.Tuple):
-        parts, given = _parts(space), ()
+        parts, given = parts_of(space), ()
         if isinstance(space, spaces.Dict) and isinstance(value, Mapping):
             given = value.keys()
         elif isinstance(space, spaces.Tuple) and isinstance(value, tuple | list):

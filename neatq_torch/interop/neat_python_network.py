@@ -245,24 +245,21 @@ class NeatPythonNetwork(nn.Module):
         return f"{form}, {self.inputs} inputs, {self.outputs} outputs, {links} links"
 
     def _check(self) -> None:
-        known = {*self.input_keys} if not self.recurrent else None
         seen: set[int] = set(self.input_keys)
         for node in self.nodes:
             _check_node(node)
             if node.key in seen:
                 raise GenomeError(f"node {node.key} occurs more than once.")
-            seen.add(node.key)
             sources = [source for source, _ in node.links]
             for source in sources:
                 if sources.count(source) > 1:
                     raise GenomeError(f"two links lead from {source} to {node.key}.")
-                if known is not None and source not in known:
+                if not self.recurrent and source not in seen:
                     raise GenomeError(
                         f"node {node.key} reads node {source}, which is not evaluated before it; "
                         "a network with cycles is read as a recurrent one."
                     )
-            if known is not None:
-                known.add(node.key)
+            seen.add(node.key)
 
 
 def _check_node(node: NeatPythonNode) -> None:

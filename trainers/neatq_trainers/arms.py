@@ -240,12 +240,10 @@ def _has(values: Mapping[str, Any], path: str) -> bool:
 
 def _population(arm: Arm, world: WorldConfig) -> Any:
     """That of the arm; in the arena a life is a robot's, and generations have one."""
-    if not isinstance(world, ArenaConfig):
+    if arm.population is None or not isinstance(world, ArenaConfig):
         return arm.population
-    if isinstance(arm.population, RtNEATConfig):
-        life = world.scenario.lifetime_ticks or LIFE_TICKS
-        return replace(arm.population, minimum_life_ticks=life)
-    return arm.population and replace(arm.population, episodes=1)
+    life = world.scenario.lifetime_ticks or LIFE_TICKS
+    return _having(arm.population, minimum_life_ticks=life, episodes=1)
 
 
 def _length(task: str, world: WorldConfig, given: Mapping[str, int | None]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import os
 import shlex
 import zlib
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,7 +28,7 @@ from neatq_trainers.metrics import DistanceRow, ReturnRow, Row, csv_line, header
 from neatq_trainers.run import State
 from neatq_trainers.saved import check_saved
 from neatq_trainers.workers import Snapshot
-from neatq_trainers.worlds import ArenaConfig
+from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -223,7 +223,12 @@ class RunFolder:
     def result(self) -> dict[str, Any] | None:
         """What the test of the champions returned; None where there was none."""
         path = self.path / RESULT
-        return _read_json(path) if path.is_file() else None
+        return _read_file(path) if path.is_file() else None
+
+    def facts(self) -> EnvFacts | None:
+        """What was known of a Gymnasium task before the run; None in other worlds."""
+        known = isinstance(self.config.world, GymnasiumConfig)
+        return _read_file(self.path / SCALING, EnvFacts.from_dict) if known else None
 
     def metrics(self) -> Columns:
         """The columns of `metrics.csv`, float64 [rows] each; empty cells are NaN."""
@@ -337,23 +342,20 @@ def load_run(path: Path | str) -> RunFolder:
     Example:
         >>> load_run("runs/wall-neatq-seed0").plot()
     """
-    path, file = Path(path), Path(path) / CONFIG
+    path = Path(path)
     if not (path / CHECKPOINT).is_file():
         raise RunFolderError(f"{path}: no run; there is no {CHECKPOINT} in it")
-    try:
-        return RunFolder(path, RunConfig.from_dict(_read_json(file)))
-    except FileNotFoundError as error:
-        raise CheckpointError(f"{file}: there is no such file") from error
-    except ConfigError as error:
-        raise CheckpointError(f"{file}: altered or damaged: {error}") from error
+    return RunFolder(path, _read_file(path / CONFIG, RunConfig.from_dict))
 
 
-def _read_json(path: Path) -> Any:
-    """The object in one of the files that a run writes."""
+def _read_file(path: Path, made_of: Callable[[dict[str, Any]], Any] = dict) -> Any:
+    """What is made of the object in one of the files that a run writes."""
     try:
         value = parse_json(path.read_bytes())
-    except ValueError as error:
+        if not isinstance(value, dict):
+            raise ValueError("no object {...}")
+        return made_of(value)
+    except FileNotFoundError as error:
+        raise CheckpointError(f"{path}: there is no such file") from error
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise CheckpointError(f"{path}: altered or damaged: {error}") from error
-    if not isinstance(value, dict):
-        raise CheckpointError(f"{path}: altered or damaged: no object {{...}}")
-    return value

@@ -131,10 +131,9 @@ class DistanceMetrics:
     def _remember(self, run: Run) -> None:
         """Between generations nobody is the fittest: keep the champion of the one before."""
         for arena, population in enumerate(run.populations):
-            if population.due() and run.network is not None:
+            if population.due():
                 slot = int(np.argmax(population.fitness))
-                genome = run.network.genome(arena * run.shape[1] + slot)
-                score = float(population.fitness[slot])
+                genome, score = run.genome(arena, slot), float(population.fitness[slot])
                 self.champions[arena] = Champion(genome, score, population.generations)
 
     def steps(self, run: Run) -> int:
@@ -254,7 +253,7 @@ class ReturnMetrics:
         if self.champions[arena] is not None and now // config.every == before // config.every:
             return None
         fittest = np.argsort(-population.fitness, kind="stable")[: config.evaluated]
-        genomes = [self._genome(run, arena, slot) for slot in fittest.tolist()]
+        genomes = [run.genome(arena, slot) for slot in fittest.tolist()]
         seeds = episode_seeds(run.config.seeds[arena], 0, config.episodes, purpose=EVALUATION)
         starts = np.repeat(seeds[None], len(genomes), axis=0)
         scores = np.full(len(population.genomes), np.nan)
@@ -275,11 +274,7 @@ class ReturnMetrics:
         before, score = self.champions[arena], float(scores[best])
         if before is None or score >= before.score:
             generation = run.populations[arena].generations
-            self.champions[arena] = Champion(self._genome(run, arena, best), score, generation)
-
-    def _genome(self, run: Run, arena: int, slot: int) -> Genome:
-        assert run.network is not None
-        return run.network.genome(arena * run.shape[1] + slot)
+            self.champions[arena] = Champion(run.genome(arena, best), score, generation)
 
     def steps(self, run: Run) -> int:
         """Steps so far of the arena that has fewest."""

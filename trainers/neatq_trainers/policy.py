@@ -14,15 +14,13 @@ from torch import Tensor, nn
 from neatq_envs.gymnasium_task import Interface
 from neatq_envs.observations import flat_rows
 from neatq_envs.random_play import LARGEST, EnvFacts, ObservationScaling
-from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.genome import Genome, load_genome
-from neatq_torch.json_text import parse_json
 from neatq_torch.learning import Heads, TableLearner
 from neatq_torch.network import GenomeNetwork
 from neatq_trainers.build import build, heads_of
 from neatq_trainers.config import RunConfig
-from neatq_trainers.folder import SCALING, RunFolder, RunFolderError, load_run
-from neatq_trainers.worlds import GymnasiumConfig, make_world
+from neatq_trainers.folder import RunFolder, RunFolderError, load_run
+from neatq_trainers.worlds import make_world
 
 
 class ChampionPolicy(nn.Module):
@@ -266,12 +264,9 @@ def load_policy(folder: Path | str | RunFolder) -> ChampionPolicy | TablePolicy:
         learner = build(run.config.split(len(state["runs"]))[0], state["runs"][0]).learner
         assert isinstance(learner, TableLearner)
         return TablePolicy(learner)
-    facts = None
-    if isinstance(run.config.world, GymnasiumConfig):
-        facts = _facts(run.path / SCALING)
     schema = run.config.world.schema
     genome = load_genome(path, observation_schema=schema) if path.is_file() else run.champion()
-    return make_policy(run.config, genome, facts)
+    return make_policy(run.config, genome, run.facts())
 
 
 def _run_at(path: Path) -> RunFolder:
@@ -286,12 +281,3 @@ def _run_at(path: Path) -> RunFolder:
             "needs; give the run's folder, or take the network alone: "
             f"GenomeNetwork(load_genome({str(path)!r}))"
         ) from error
-
-
-def _facts(path: Path) -> EnvFacts:
-    try:
-        return EnvFacts.from_dict(parse_json(path.read_bytes()))
-    except FileNotFoundError as error:
-        raise CheckpointError(f"{path}: there is no such file") from error
-    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise CheckpointError(f"{path}: altered or damaged: {error}") from error

@@ -19,7 +19,6 @@ from neatq_envs.episodes import TEST, episode_seeds
 from neatq_envs.gymnasium_rows import begin, close
 from neatq_envs.gymnasium_task import GymnasiumTask, TaskError
 from neatq_envs.observations import raised_by_environment
-from neatq_envs.random_play import EnvFacts
 from neatq_envs.render import ShownFigure, animation, draw_paths, frame, plain_title
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.build import build
@@ -79,8 +78,7 @@ def write_report(folder: RunFolder) -> list[str]:
         return []
     if champion is None:
         return []
-    facts = folder.read()["facts"]
-    policy = make_policy(folder.config, champion, facts and EnvFacts.from_dict(facts))
+    policy = make_policy(folder.config, champion, folder.facts())
     picture = draw_genome(
         champion,
         input_names=[f"observation {i}" for i in range(policy.network.inputs)],

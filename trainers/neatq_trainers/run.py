@@ -138,15 +138,18 @@ class Run:
         sequences = (np.random.SeedSequence([*words, slot]) for slot in range(self.shape[1]))
         return [int(one.generate_state(1)[0]) for one in sequences]
 
+    def genome(self, arena: int, slot: int) -> Genome:
+        """The genome in a slot, with the weights that were learnt."""
+        assert self.network is not None
+        return self.network.genome(arena * self.shape[1] + slot)
+
     def champion(self, arena: int) -> Genome | None:
         """The fittest genome of an arena, with the weights that were learnt."""
         slot = self.populations[arena].champion if self.populations else None
         remembered = self.metrics.champions[arena]
         if remembered is not None:
             return remembered.genome
-        if slot is None or self.network is None:
-            return None
-        return self.network.genome(arena * self.shape[1] + slot)
+        return None if slot is None else self.genome(arena, slot)
 
     def state_dict(self) -> State:
         """Everything from which `build` goes on bit for bit; take it between two strides."""

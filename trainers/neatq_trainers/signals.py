@@ -41,8 +41,8 @@ def ending_by_signals() -> Iterator[None]:
 
 
 @contextmanager
-def calling_on_signal(request: Callable[[], object]) -> Iterator[list[int]]:
-    """The first of Ctrl-C, SIGTERM and SIGHUP calls `request`; a second one ends what is under way.
+def noting_signals() -> Iterator[list[int]]:
+    """The first of Ctrl-C, SIGTERM and SIGHUP is noted; a second one ends what is under way.
 
     Yields a list that is empty until then, and afterwards has the number of the signal.
     """
@@ -50,7 +50,6 @@ def calling_on_signal(request: Callable[[], object]) -> Iterator[list[int]]:
 
     def note(number: int, _: object) -> None:
         came.append(number)
-        request()
         stack.close()
 
     ours = [one for one in _ENDING if signal.getsignal(one) is _raise]

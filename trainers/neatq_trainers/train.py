@@ -33,7 +33,7 @@ from neatq_trainers.loop import Stride
 from neatq_trainers.metrics import Row
 from neatq_trainers.names import file_name
 from neatq_trainers.run import Champion
-from neatq_trainers.signals import calling_on_signal, ending_by_signals, raise_for
+from neatq_trainers.signals import ending_by_signals, noting_signals, raise_for
 from neatq_trainers.workers import Worker, fitting_workers, open_workers
 from neatq_trainers.worlds import GymnasiumConfig, GymnasiumWorld, facts_of, make_world
 
@@ -61,10 +61,6 @@ class Session:
     lengths: dict[str, int] = field(default_factory=lambda: dict.fromkeys(LENGTHS, 0))
     stop: bool = False
     wants_checkpoint: bool = False
-
-    def end_soon(self) -> None:
-        """End the training in order, as `stop` does."""
-        self.stop = True
 
     @property
     def done(self) -> int:
@@ -207,10 +203,7 @@ def resume(
         state, config = folder.load(**length), folder.config
         states, parts = state["runs"], config.split(len(state["runs"]))
         facts = None if state["facts"] is None else EnvFacts.from_dict(state["facts"])
-        everybody, count = (
-            [kind() for kind in BUILT_IN] + list(callbacks),
-            _checked(workers, config),
-        )
+        everybody, count = [kind() for kind in BUILT_IN] + [*callbacks], _checked(workers, config)
         team = stack.enter_context(open_workers(parts, states, facts, everybody, count))
         session = Session(config=config, folder=folder, facts=facts, lengths=state["done"])
         _train(session, team, everybody)
@@ -262,9 +255,9 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
     under_way, unsaved = 0, False
     for callback in callbacks:
         callback.start(session)
-    with calling_on_signal(session.end_soon) as signals:
+    with noting_signals() as signals:
         while True:
-            pausing = session.stop or (session.wants_checkpoint and unsaved)
+            pausing = session.stop or signals or (session.wants_checkpoint and unsaved)
             if not pausing and under_way < ahead and session.done + under_way * stride < total:
                 for worker in workers:
                     worker.begin()
@@ -278,7 +271,7 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
                 session.wants_checkpoint = unsaved = False
                 for callback in callbacks:
                     callback.checkpoint(session)
-                if session.stop or session.done >= total:
+                if session.stop or signals or session.done >= total:
                     break
     if session.done < total and signals:
         raise_for(signals[0])

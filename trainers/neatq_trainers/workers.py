@@ -58,11 +58,13 @@ class LocalWorker:
         *,
         tells: bool = True,
     ) -> None:
-        self._compiling = CompilingTold() if tells else None
+        self._hearing = ExitStack()
+        if tells:
+            self._hearing.callback(CompilingTold().close)
         try:
             self._run = build(config, state, facts=facts, workers=workers)
         except BaseException:
-            self._hear_no_more()
+            self._hearing.close()
             raise
         self._strides = strides(self._run, callbacks)
 
@@ -72,7 +74,7 @@ class LocalWorker:
     def finish(self) -> Stride:
         """What came of the earliest stride under way."""
         stride = next(self._strides)
-        self._hear_no_more()
+        self._hearing.close()
         return stride
 
     def snapshot(self) -> Snapshot:
@@ -82,14 +84,9 @@ class LocalWorker:
 
     def close(self) -> None:
         """Close what training has opened."""
-        self._hear_no_more()
+        self._hearing.close()
         self._strides.close()
         self._run.world.close()
-
-    def _hear_no_more(self) -> None:
-        if self._compiling is not None:
-            self._compiling.close()
-            self._compiling = None
 
 
 def _in_process(
