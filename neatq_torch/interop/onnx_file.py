@@ -5,35 +5,16 @@ from __future__ import annotations
 import copy
 import logging
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from neatq_torch.atomic import write_atomic
 from neatq_torch.interop.extras import refuse_missing
-
-
-@runtime_checkable
-class Stepping(Protocol):
-    """What a network must have to be written: a `GenomeNetwork` has it."""
-
-    inputs: int
-
-    @property
-    def state_size(self) -> int:
-        """Numbers that are kept from call to call; 0 for none."""
-        ...
-
-    def initial_state(self, batch: Sequence[int] = ()) -> Tensor:
-        """The state before the first call [*batch, state_size]."""
-        ...
-
-    def step(self, observation: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Outputs and the next state."""
-        ...
+from neatq_torch.network.stateful import Stepping
 
 
 class _Call(nn.Module):
@@ -82,18 +63,19 @@ def to_onnx(
         >>> (output,) = session.run(None, {"observation": observations})
     """
     refuse_missing("to_onnx", onnx="neatq_torch[onnx]", onnxscript="neatq_torch[onnx]")
-    if not isinstance(network, Stepping) or network.initial_state().ndim != 1:
+    fits = isinstance(network, Stepping) and hasattr(network, "inputs")
+    if not fits or network.initial_state().ndim != 1:
         raise TypeError(
             f"to_onnx: expected the network of one genome, such as GenomeNetwork(genome); got "
             f"{type(network).__name__}."
         )
-    network = copy.deepcopy(network).cpu().eval()  # pyright: ignore[reportAttributeAccessIssue]
-    state = network.initial_state((2,))
-    tensors, names = (state.new_zeros(2, network.inputs),), ["observation"]
-    if network.state_size:
+    own: Any = copy.deepcopy(network)
+    state = own.cpu().eval().initial_state((2,))
+    tensors, names = (state.new_zeros(2, own.inputs),), ["observation"]
+    if own.state_size:
         tensors, names = (*tensors, state), [*names, "state"]
     outputs = [output_name, "next_state"][: len(names)]
-    program = _exported(_Call(network).eval(), tensors, names, outputs)
+    program = _exported(_Call(own).eval(), tensors, names, outputs)
     model = program.model_proto
     for key, text in (metadata or {}).items():
         model.metadata_props.add(key=key, value=text)

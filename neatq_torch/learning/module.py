@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, dispatch
@@ -12,23 +11,7 @@ from torchrl.data import Unbounded
 from torchrl.envs import TensorDictPrimer
 
 from neatq_torch.learning.heads import Heads
-
-
-class Steps(Protocol):
-    """What a `GenomeModule` asks of a network or policy: both step from state to state."""
-
-    @property
-    def state_size(self) -> int:
-        """Values of the state; 0 for none."""
-        ...
-
-    def initial_state(self, batch: Sequence[int] = ()) -> Tensor:
-        """The state where an episode begins [*batch, state_size]."""
-        ...
-
-    def step(self, observation: Any, state: Any = None) -> tuple[Tensor, Tensor]:
-        """The output and the next state; a state of zeros or None is the initial one."""
-        ...
+from neatq_torch.network.stateful import Stepping
 
 
 class GenomeModule(TensorDictModuleBase):
@@ -61,7 +44,7 @@ class GenomeModule(TensorDictModuleBase):
 
     def __init__(
         self,
-        module: Steps,
+        module: Stepping,
         *,
         heads: Heads | None = None,
         in_key: str = "observation",

@@ -2,13 +2,32 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
 
 if TYPE_CHECKING:
     from neatq_torch.network.population import PopulationNetwork
+
+
+@runtime_checkable
+class Stepping(Protocol):
+    """What steps from state to state: a network, or a policy."""
+
+    @property
+    def state_size(self) -> int:
+        """Values of the state; 0 for none."""
+        ...
+
+    def initial_state(self, batch: Sequence[int] = ()) -> Tensor:
+        """The state where an episode begins [*batch, state_size]."""
+        ...
+
+    def step(self, observation: Any, state: Any) -> tuple[Tensor, Tensor]:
+        """The output and the next state."""
+        ...
 
 
 class StatefulNetwork(nn.Module):

@@ -69,7 +69,7 @@ class ActingChampion(nn.Module):
 
     def step(self, observation: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """The action, whole numbers [*batch] of choices or [*batch, A], and the next state."""
-        best, state = self.policy.act(self.policy.scaled(observation), state)
+        best, state = self.policy.best(self.policy.scaled(observation), state)
         return best if self._first is None else best[..., 0].long() + self._first, state
 
 

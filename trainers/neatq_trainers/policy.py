@@ -97,7 +97,7 @@ class ChampionPolicy(nn.Module):
                 f"expected a batch {list(self._state.shape[:-1])} of observations, as before, got "
                 f"{list(seen.shape[:-1])}; call reset() where other episodes begin"
             )
-        best, self._state = self.act(seen, self._state)
+        best, self._state = self.best(seen, self._state)
         return self._own(best, isinstance(observation, Tensor))
 
     @torch.no_grad()
@@ -111,7 +111,7 @@ class ChampionPolicy(nn.Module):
         """
         seen = self._read(observation)
         state = self.initial_state(seen.shape[:-1]) if state is None else state
-        best, state = self.act(seen, state)
+        best, state = self.best(seen, state)
         return self._own(best, True), state
 
     @torch.no_grad()
@@ -139,11 +139,11 @@ class ChampionPolicy(nn.Module):
             if episode_start is not None:
                 begins = torch.as_tensor(episode_start, device=first.device).bool()
                 before = torch.where(begins.reshape(seen.shape[:-1]).unsqueeze(-1), first, before)
-        best, after = self.act(seen, before)
+        best, after = self.best(seen, before)
         kept = (after.cpu().numpy(),) if self.state_size else None
         return self._own(best, isinstance(observation, Tensor)), kept
 
-    def act(self, seen: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    def best(self, seen: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """The best action [*batch, A], as the heads give it, and the next state.
 
         What is `seen` are scaled observations [*batch, inputs].

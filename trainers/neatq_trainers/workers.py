@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
@@ -89,29 +89,13 @@ class LocalWorker:
         self._run.world.close()
 
 
-def _in_process(
-    config: RunConfig,
-    state: State | None,
-    facts: EnvFacts | None,
-    callbacks: Sequence[Callback],
-    tells: bool,
-) -> LocalWorker:
+def _in_process(tells: bool, *arguments: Any) -> LocalWorker:
     torch.set_num_threads(1)
-    return LocalWorker(config, state, facts, callbacks, tells=tells)
+    return LocalWorker(*arguments, tells=tells)
 
 
 class ProcessWorker(Remote):
     """Trains in a process of its own; see `LocalWorker`."""
-
-    def __init__(
-        self,
-        config: RunConfig,
-        state: State | None,
-        facts: EnvFacts | None,
-        callbacks: Sequence[Callback],
-        tells: bool,
-    ) -> None:
-        super().__init__(_in_process, config, state, facts, callbacks, tells)
 
     def begin(self) -> None:
         """Ask for a stride."""
@@ -143,11 +127,12 @@ def open_workers(
     with ExitStack() as stack:
         opened: list[Worker] = []
         for config, state in zip(parts, states, strict=True):
+            arguments = config, state, facts, own
             if len(parts) == 1:
-                opened.append(LocalWorker(config, state, facts, own, workers))
+                opened.append(LocalWorker(*arguments, workers))
             else:
-                first = not opened  # one of them tells what all of them do
-                opened.append(ProcessWorker(config, state, facts, own, tells=first))
+                tells = not opened  # one of them tells what all of them do
+                opened.append(ProcessWorker(_in_process, tells, *arguments))
             stack.callback(opened[-1].close)
         yield opened
 

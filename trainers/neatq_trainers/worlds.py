@@ -30,9 +30,8 @@ from neatq_envs.torchrl_rows import GymnasiumRows
 from neatq_torch.genome import Genome
 from neatq_torch.kinds import ConfigError, Kinds, check_fields, import_own
 from neatq_torch.learning import CandidateHeads, DiscreteHeads, Heads
+from neatq_torch.learning.heads import ValueRange
 from neatq_torch.network import Evaluation, PopulationNetwork
-
-Range = tuple[float, float]
 
 
 class World(ABC):
@@ -58,11 +57,11 @@ class World(ABC):
         return arenas, slots
 
     @abstractmethod
-    def heads(self, candidates: int, value_range: Range = (0.0, 1.0)) -> Heads:
+    def heads(self, candidates: int, value_range: ValueRange = (0.0, 1.0)) -> Heads:
         """How outputs are read: as actions of this world, and values in a range."""
 
     @abstractmethod
-    def default_range(self, discount: float, *, normalized: bool) -> Range:
+    def default_range(self, discount: float, *, normalized: bool) -> ValueRange:
         """The Q-values that its rewards allow."""
 
     def begin(self, generation: int) -> None:  # noqa: B027  (most worlds go on)
@@ -211,12 +210,12 @@ class ArenaWorld(World):
         self.inputs = len(self.env.arena.schema.observations)
         self.reward_weights = tuple(scenario.weights().tolist())
 
-    def heads(self, candidates: int, value_range: Range = (0.0, 1.0)) -> Heads:
+    def heads(self, candidates: int, value_range: ValueRange = (0.0, 1.0)) -> Heads:
         """Speed and turn, and in OpenNERO's world two more."""
         low, high = self.env.arena.schema.action_bounds(self.env.scenario)
         return CandidateHeads(candidates, low.tolist(), high.tolist(), value_range=value_range)
 
-    def default_range(self, discount: float, *, normalized: bool) -> Range:
+    def default_range(self, discount: float, *, normalized: bool) -> ValueRange:
         """Returns of rewards within [0, 1]."""
         return 0.0, 1.0 if normalized or discount >= 1 else 1 / (1 - discount)
 
@@ -262,13 +261,13 @@ class GymnasiumWorld(World):
         )
         self.inputs = self.interface.inputs
 
-    def heads(self, candidates: int, value_range: Range = (0.0, 1.0)) -> Heads:
+    def heads(self, candidates: int, value_range: ValueRange = (0.0, 1.0)) -> Heads:
         """Choices, or a box of actions. Where outputs only rank actions they keep their range."""
         if self.interface.choices is not None:
             return DiscreteHeads(self.interface.choices, value_range=value_range)
         return CandidateHeads(candidates, *self.interface.bounds, value_range=value_range)
 
-    def default_range(self, discount: float, *, normalized: bool) -> Range:
+    def default_range(self, discount: float, *, normalized: bool) -> ValueRange:
         """Returns that random play had or might have had."""
         return self.facts.value_range
 
@@ -340,11 +339,11 @@ class EnvWorld(World):
             bound.flatten(0, 1)[0].tolist() for bound in (space.low, space.high)
         )
 
-    def heads(self, candidates: int, value_range: Range = (0.0, 1.0)) -> Heads:
+    def heads(self, candidates: int, value_range: ValueRange = (0.0, 1.0)) -> Heads:
         """A point in the box of actions."""
         return CandidateHeads(candidates, self._low, self._high, value_range=value_range)
 
-    def default_range(self, discount: float, *, normalized: bool) -> Range:
+    def default_range(self, discount: float, *, normalized: bool) -> ValueRange:
         """Returns of rewards within the bounds of the reward spec."""
         space = getattr(self.env.reward_spec, "space", None)
         low, high = (
