@@ -229,6 +229,15 @@ class VectorRows:
         return np.asarray(observations, np.float64).reshape(rows, self.interface.inputs)
 
 
+def interface_of(task: GymnasiumTask) -> Interface:
+    """How a task is read, or a `TaskError`."""
+    env = task.make()
+    try:
+        return Interface.of(env, task.id)
+    finally:
+        close(env)
+
+
 def make_rows(
     task: GymnasiumTask, *, renewed: bool = False, workers: int = 1
 ) -> tuple[EnvRows, Interface]:
@@ -240,9 +249,7 @@ def make_rows(
         workers: Processes that the rows are dealt to, 1: none but this one. A vectorised
             environment stays in this one. The results are the same.
     """
-    env = task.make()
-    interface = Interface.of(env, task.id)
-    close(env)
+    interface = interface_of(task)
     vector = None if renewed else VectorRows.of(task, interface)
     if vector is None and workers > 1:
         return DealtRows(task, interface, renewed=renewed, workers=workers), interface

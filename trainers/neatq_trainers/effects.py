@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any
 
-from neatq_envs.gymnasium_rows import close
-from neatq_envs.gymnasium_task import Interface
+from neatq_envs.gymnasium_rows import interface_of
 from neatq_torch.evolution import (
     FixedConfig,
     NEATConfig,
@@ -40,7 +39,8 @@ def without_effect(config: RunConfig) -> dict[str, str]:
     Raises:
         TaskError: If there is no such environment.
     """
-    choices = _choices(config)
+    world = config.world
+    choices = interface_of(world.task).choices if isinstance(world, GymnasiumConfig) else None
     many = f"{config.task} has {choices} actions to choose from"
     useless = _of_network(config) | _of_population(config) | _of_learner(config)
     if choices is not None:
@@ -147,14 +147,3 @@ def _of_learner(config: RunConfig) -> dict[str, str]:
         elif not isinstance(config.world, GymnasiumConfig):
             useless["anneal"] = "a world of your own does not tell the number of an episode"
     return {f"learner.{name}": why for name, why in useless.items()}
-
-
-def _choices(config: RunConfig) -> int | None:
-    """Actions to choose from in the world of a run; None in a box of actions."""
-    if not isinstance(config.world, GymnasiumConfig):
-        return None
-    env = config.world.task.make()
-    try:
-        return Interface.of(env, config.world.id).choices
-    finally:
-        close(env)
