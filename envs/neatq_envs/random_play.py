@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
@@ -106,7 +107,14 @@ def look_around(task: GymnasiumTask, discount: float) -> EnvFacts:
     Raises:
         TaskError: If the environment cannot be used, or its episodes do not end.
     """
+    with ExitStack() as stack:
+        return _looked(task, discount, stack)
+
+
+def _looked(task: GymnasiumTask, discount: float, stack: ExitStack) -> EnvFacts:
+    """As `look_around`; `stack` closes the environments."""
     rows, interface = make_rows(task)
+    stack.callback(rows.close)
     seen = play_at_random(task, rows, interface, MOST_STEPS)
     limit = task.kwargs.get("max_episode_steps", task.spec().max_episode_steps)
     limit = None if limit is None or limit < 0 else int(limit)
@@ -118,6 +126,7 @@ def look_around(task: GymnasiumTask, discount: float) -> EnvFacts:
     renewed = not _repeats(task, rows, interface, seen)
     if renewed:
         rows, interface = make_rows(task, renewed=True)
+        stack.callback(rows.close)
     taken = np.arange(len(seen.rewards))[:, None] < seen.lengths
     return EnvFacts(
         scaling=ObservationScaling.fit(interface.flat_observation, seen.observations[taken]),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections import Counter
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -193,6 +194,16 @@ def test_what_goes_wrong_in_a_reset_has_one_sentence(how: str, pattern: str) -> 
 def test_an_environment_that_exits_when_it_is_made_is_named() -> None:
     with pytest.raises(TaskError, match=r"Strange-v0 cannot be made with .*: SystemExit: 4"):
         look_around(strange("exit when made"), 0.9)
+
+
+@pytest.mark.parametrize("how", ["", "raise"])
+def test_random_play_closes_what_it_has_opened(how: str) -> None:
+    strange("").make().close()  # imports the class
+    kind = sys.modules["strange_tasks"].Strange
+    before = kind.opened
+    with nullcontext() if not how else pytest.raises(EpisodeError):
+        look_around(strange(how), 0.9)
+    assert kind.opened == before
 
 
 def test_a_close_that_fails_is_a_warning() -> None:

@@ -93,7 +93,7 @@ class Strange(gymnasium.Env[Any, Any]):
         after: Resets before which nothing happens.
     """
 
-    resets = 0
+    resets = opened = 0
     metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012
     observation_space = spaces.Box(-np.inf, np.inf, (2,))
     action_space: spaces.Space[Any] = spaces.Box(-1, 1, (1,))
@@ -106,6 +106,7 @@ class Strange(gymnasium.Env[Any, Any]):
             sys.exit(4)
         if how == "goes elsewhere when made":
             os.chdir(".." if Path.cwd().name == "here" else ".")
+        type(self).opened += 1
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         super().reset(seed=seed)
@@ -162,6 +163,7 @@ class Strange(gymnasium.Env[Any, Any]):
     def close(self) -> None:
         if self.how == "close raises":
             raise OSError("already gone")
+        type(self).opened -= 1
 
 
 for kind, steps in ((Plain, None), (Strange, 20)):
