@@ -7,9 +7,10 @@ import os
 import shlex
 import signal
 import sys
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+
+from neatq_trainers.signals import handling, is_main_thread
 
 _COMMANDS = {
     "train": ("neatq_trainers.commands", "train_command"),
@@ -84,14 +85,8 @@ def _stopping_at_once(arguments: Sequence[str]) -> Iterator[None]:
         os._exit(130)
 
     ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if not ours or threading.current_thread() is not threading.main_thread():
+    with handling([signal.SIGINT] if ours and is_main_thread() else [], stop):
         yield
-        return
-    signal.signal(signal.SIGINT, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 if __name__ == "__main__":

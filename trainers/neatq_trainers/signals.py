@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any, NoReturn
 
@@ -34,9 +34,9 @@ def ending_by_signals() -> Iterator[None]:
     A signal that somebody handles or ignores already (nohup) is left alone. So are all where only
     others may handle them: outside of the main thread, and in a process that another one began.
     """
-    numbers = _ENDING if _is_main() and multiprocessing.parent_process() is None else []
+    numbers = _ENDING if is_main_thread() and multiprocessing.parent_process() is None else []
     ours = [one for one in numbers if signal.getsignal(one) is signal.SIG_DFL]
-    with _handling(ours, _raise):
+    with handling(ours, _raise):
         yield
 
 
@@ -54,17 +54,18 @@ def noting_signals() -> Iterator[list[int]]:
 
     ours = [one for one in _ENDING if signal.getsignal(one) is _raise]
     with ExitStack() as stack:
-        stack.enter_context(_handling([signal.SIGINT, *ours] if _is_main() else [], note))
+        stack.enter_context(handling([signal.SIGINT, *ours] if is_main_thread() else [], note))
         yield came
 
 
-def _is_main() -> bool:
+def is_main_thread() -> bool:
     """Whether this thread may handle signals."""
     return threading.current_thread() is threading.main_thread()
 
 
 @contextmanager
-def _handling(numbers: list[Any], handler: Callable[[int, object], None]) -> Iterator[None]:
+def handling(numbers: Sequence[Any], handler: Callable[[int, object], None]) -> Iterator[None]:
+    """Signals of these numbers are handled by another function inside."""
     before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
