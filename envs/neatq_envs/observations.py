@@ -95,7 +95,7 @@ def _batch_of(space: Any, value: Any) -> tuple[int, ...]:
     """What stands before the shape of the first part; `flat` tells what is no observation."""
     try:
         while isinstance(space, spaces.Dict | spaces.Tuple):
-            key, space = _parts(space)[0]
+            key, space = parts_of(space)[0]
             value = value[key]
         return np.shape(value)[: max(np.ndim(value) - len(space.shape), 0)]
     except (LookupError, TypeError, ValueError):
@@ -105,7 +105,7 @@ def _batch_of(space: Any, value: Any) -> tuple[int, ...]:
 def _one_of(space: Any, value: Any, batch: tuple[int, ...], at: tuple[int, ...]) -> Any:
     """The observation at an index of a batch."""
     if isinstance(space, spaces.Dict | spaces.Tuple):
-        parts = dict(_parts(space))
+        parts = dict(parts_of(space))
         given = value.items() if isinstance(value, Mapping) else enumerate(value)
         own = {k: _one_of(parts[k], one, batch, at) if k in parts else one for k, one in given}
         return own if isinstance(space, spaces.Dict) else [*own.values()]
