@@ -13,6 +13,7 @@ from neatq_torch.checkpoint import load_checkpoint
 from neatq_trainers import train
 from neatq_trainers.arms import preset
 from neatq_trainers.callbacks import Report
+from neatq_trainers.cli import main
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import CHECKPOINT
 
@@ -25,6 +26,7 @@ _OFTEN = {"add_link_prob": 0.9, "recurrent_link_prob": 0.5, "add_node_prob": 0.3
 
 Tiny = Callable[..., RunConfig]
 State = dict[str, Any]
+Say = Callable[..., tuple[int, str, str]]
 
 
 def often(config: RunConfig) -> dict[str, Any]:
@@ -132,3 +134,22 @@ def without_pictures() -> Iterator[None]:
         callbacks = tuple(one for one in train.BUILT_IN if one is not Report)
         patch.setattr(train, "BUILT_IN", callbacks)
         yield
+
+
+@pytest.fixture
+def neatq(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Say:
+    """Run the command in an empty folder; returns status, standard output and standard error."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        try:
+            status = main(arguments)
+        except SystemExit as end:
+            status = int(end.code or 0)
+        said = capsys.readouterr()
+        return status, said.out, said.err
+
+    return run

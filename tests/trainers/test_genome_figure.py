@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.artist import Artist
@@ -25,6 +27,7 @@ from neatq_torch.genome import (
     mutate,
 )
 from neatq_trainers.genome_figure import NEGATIVE, POSITIVE, candidate_names, draw_genome
+from neatq_trainers.report import input_names
 
 GROWING = MutationConfig(add_node_prob=0.3, add_link_prob=0.5, recurrent_link_prob=0.4)
 
@@ -215,3 +218,14 @@ def test_a_notebook_shows_a_figure_without_pyplot() -> None:
     figure = draw_genome(small_genome())
     assert isinstance(figure, ShownFigure)
     assert figure._repr_png_().startswith(b"\x89PNG")
+
+
+def test_inputs_are_called_by_what_they_read() -> None:
+    space = spaces.Dict({"place": spaces.Box(-1, 1, (2,)), "side": spaces.Discrete(2)})
+    network, interface = SimpleNamespace(inputs=4), SimpleNamespace(observation=space)
+    policy: Any = SimpleNamespace(network=network, interface=interface)
+    place = ["observation['place'][0]", "observation['place'][1]"]
+    side = ["observation['side'][0]", "observation['side'][1]"]
+    assert input_names(policy) == [*place, *side]
+    policy.interface = None
+    assert input_names(policy)[3] == "observation[3]"

@@ -21,7 +21,6 @@ from neatq_envs.random_play import look_around
 from neatq_torch.checkpoint import load_checkpoint
 from neatq_torch.genome import Genome, load_genome
 from neatq_trainers.arms import preset
-from neatq_trainers.cli import main
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import (
     CHAMPION,
@@ -44,25 +43,6 @@ Tiny = Callable[..., RunConfig]
 SHORT = ["--generations", "2", "--world.slots", "6", "--workers", "1"]
 SHORT += ["--world.episodes", "2", "--world.test-episodes", "3"]
 NEAT = ["--arm", "neat", "--population.episodes", "1"]
-
-
-@pytest.fixture
-def neatq(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Say:
-    """Run the command in an empty folder; returns status, standard output and standard error."""
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        try:
-            status = main(arguments)
-        except SystemExit as end:
-            status = int(end.code or 0)
-        said = capsys.readouterr()
-        return status, said.out, said.err
-
-    return run
 
 
 @pytest.fixture(scope="module")

@@ -39,25 +39,6 @@ def found() -> None:
         sys.path.insert(0, folder)
 
 
-@pytest.fixture
-def neatq(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Say:
-    """Run the command in an empty folder; returns status, standard output and standard error."""
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        try:
-            status = main(arguments)
-        except SystemExit as end:
-            status = int(end.code or 0)
-        said = capsys.readouterr()
-        return status, said.out, said.err
-
-    return run
-
-
 def short(task: str, arm: str = "neat", *env_kwargs: str, workers: int = 1) -> list[str]:
     """Arguments of a short run with few genomes."""
     few = [] if arm == "qnetwork" else ["--world.slots", "5"]

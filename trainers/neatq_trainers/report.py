@@ -18,7 +18,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from neatq_envs.episodes import TEST, episode_seeds
 from neatq_envs.gymnasium_rows import begin, close
 from neatq_envs.gymnasium_task import GymnasiumTask, TaskError
-from neatq_envs.observations import raised_by_environment
+from neatq_envs.observations import input_name, raised_by_environment
 from neatq_envs.render import ShownFigure, animation, draw_paths, frame, plain_title
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.build import build
@@ -81,7 +81,7 @@ def write_report(folder: RunFolder) -> list[str]:
     policy = make_policy(folder.config, champion, folder.facts())
     picture = draw_genome(
         champion,
-        input_names=[f"observation {i}" for i in range(policy.network.inputs)],
+        input_names=input_names(policy),
         output_names=output_names(folder, policy),
     )
     save_figure(picture, folder.path / PICTURE)
@@ -206,6 +206,14 @@ def play(run: Run, ticks: int) -> tuple[np.ndarray, np.ndarray]:
             flags.append(env.arena.flag[0].copy())
             _, rows = env.step_and_maybe_reset(run.policy(rows))
     return np.stack(poses), np.stack(flags)
+
+
+def input_names(policy: ChampionPolicy) -> list[str]:
+    """What the inputs of a network read."""
+    numbers = range(policy.network.inputs)
+    if policy.interface is None:
+        return [f"observation[{i}]" for i in numbers]
+    return [input_name(policy.interface.observation, i) for i in numbers]
 
 
 def output_names(folder: RunFolder, policy: ChampionPolicy) -> list[str]:
