@@ -224,8 +224,13 @@ def test_inputs_are_called_by_what_they_read() -> None:
     space = spaces.Dict({"place": spaces.Box(-1, 1, (2,)), "side": spaces.Discrete(2)})
     network, interface = SimpleNamespace(inputs=4), SimpleNamespace(observation=space)
     policy: Any = SimpleNamespace(network=network, interface=interface)
-    place = ["observation['place'][0]", "observation['place'][1]"]
-    side = ["observation['side'][0]", "observation['side'][1]"]
+    place = ["observation['place'] [0]", "observation['place'] [1]"]
+    side = ["observation['side'] [0]", "observation['side'] [1]"]
     assert input_names(policy) == [*place, *side]
     policy.interface = None
-    assert input_names(policy)[3] == "observation[3]"
+    assert input_names(policy)[3] == "observation [3]"
+
+
+def test_names_are_drawn_as_they_are() -> None:
+    figure = draw_genome(small_genome(), input_names=["$x{$", "b"], output_names=["$^$"])
+    assert rendered(figure)

@@ -102,14 +102,13 @@ def _link_patch(start: np.ndarray, end: np.ndarray, middle: float, curved: bool)
 def _draw_nodes(axes: Axes, genome: Genome, points: np.ndarray, names: Sequence[str]) -> None:
     ids, kinds = genome.node_id.tolist(), genome.node_kind.tolist()
     style: dict[str, Any] = {"mec": "black", "mew": 0.8, "zorder": 4, "clip_on": False}
-    beside: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 9}
+    plain: dict[str, Any] = {"va": "center", "parse_math": False}
+    beside = {"textcoords": "offset points", "fontsize": 9, **plain}
     for node, kind, (x, y), name in zip(ids, kinds, points, names, strict=True):
         size, fill = 15 if kind == NodeKind.HIDDEN else 9, FILL[NodeKind(kind)]
         axes.plot(x, y, "o", ms=size, color=fill, gid=f"node {node}", **style)
         if kind == NodeKind.HIDDEN:
-            axes.text(
-                x, y, name, ha="center", va="center", fontsize=6.5, zorder=5, parse_math=False
-            )
+            axes.text(x, y, name, ha="center", fontsize=6.5, zorder=5, **plain)
         else:
             side, offset = ("left", 9) if kind == NodeKind.OUTPUT else ("right", -9)
             axes.annotate(name, (x, y), (offset, 0), ha=side, **beside)

@@ -209,11 +209,12 @@ def play(run: Run, ticks: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def input_names(policy: ChampionPolicy) -> list[str]:
-    """What the inputs of a network read."""
+    """What the inputs of a network read, such as "observation['place'] [1]"."""
     numbers = range(policy.network.inputs)
     if policy.interface is None:
-        return [f"observation[{i}]" for i in numbers]
-    return [input_name(policy.interface.observation, i) for i in numbers]
+        return [f"observation [{i}]" for i in numbers]
+    names = (input_name(policy.interface.observation, i) for i in numbers)
+    return [" [".join(name.rsplit("[", 1)) for name in names]  # its first word is a group
 
 
 def output_names(folder: RunFolder, policy: ChampionPolicy) -> list[str]:
