@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import traceback
 import warnings
 from pathlib import Path
@@ -181,12 +182,12 @@ class VectorRows:
             return None
         rows = VectorRows(task, interface)
         try:
-            env = rows._make(2)
-            if env.metadata.get("autoreset_mode") != AutoresetMode.DISABLED:
-                return None
-            seeds: Any = [1, 2**32 - 1]
-            env.reset(seed=seeds)
-            env.reset(seed=seeds, options={"reset_mask": np.array([True, False])})
+            with contextlib.closing(rows._make(2)) as env:
+                if env.metadata.get("autoreset_mode") != AutoresetMode.DISABLED:
+                    return None
+                seeds: Any = [1, 2**32 - 1]
+                env.reset(seed=seeds)
+                env.reset(seed=seeds, options={"reset_mask": np.array([True, False])})
         except BaseException as error:
             if raised_by_environment(error):  # whatever it objects to, single ones will do
                 return None

@@ -29,12 +29,15 @@ class GenomeModule(TensorDictModuleBase):
     batches [*batch, time]; gradients do not flow from step to step.
 
     Args:
-        module: A `GenomeNetwork`, or what `load_policy` gives.
+        module: A `GenomeNetwork`, or what `load_policy` gives of a run with networks.
         heads: How outputs are read as an action: that of the greatest value. None: the action is
             what `module` gives, the plain outputs of a network.
         in_key: Where observations are.
         out_key: Where actions are written.
         state_key: Where the state is.
+
+    Raises:
+        TypeError: For a module without `step`, such as a policy with a table.
 
     Example:
         >>> policy = GenomeModule(load_policy("runs/CartPole-v1-neat-seed0"))
@@ -52,7 +55,11 @@ class GenomeModule(TensorDictModuleBase):
         state_key: str = "network_state",
     ) -> None:
         super().__init__()
-        assert isinstance(module, nn.Module)
+        if not (isinstance(module, nn.Module) and isinstance(module, Stepping)):
+            raise TypeError(
+                "GenomeModule: expected a GenomeNetwork or the policy of one (load_policy), got "
+                f"{type(module).__name__}"
+            )
         self.module, self.heads = module, heads
         state: list[Any] = [state_key, "is_init"] if module.state_size else []
         self.in_keys = [in_key, *state]

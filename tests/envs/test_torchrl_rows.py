@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from gymnasium.envs.classic_control.cartpole import CartPoleVectorEnv
 from gymnasium.vector import AutoresetMode, VectorEnv
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
@@ -229,3 +230,12 @@ def test_a_vectorised_environment_of_another_kind_is_not_used() -> None:
     rows, _ = make_rows(GymnasiumTask(id="CartPole-v1"))
     assert gymnasium.spec("CartPole-v1").vector_entry_point is not None
     assert isinstance(rows, SingleRows)
+
+
+def test_a_vectorised_environment_that_was_only_tried_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    closed: list[Any] = []
+    monkeypatch.setattr(CartPoleVectorEnv, "close", lambda env: closed.append(env))
+    make_rows(GymnasiumTask(id="CartPole-v1"))
+    assert len(closed) == 1

@@ -238,3 +238,9 @@ def test_an_observation_that_is_missing_is_named() -> None:
     policy = GenomeModule(network_of(PENDULUM, recurrent=False))
     with pytest.raises(KeyError, match="observation"):
         policy(TensorDict({"seen": torch.rand(5, 3)}, [5]))
+
+
+def test_a_module_that_does_not_step_is_refused() -> None:
+    module: Any = torch.nn.Linear(2, 1)
+    with pytest.raises(TypeError, match=r"expected a GenomeNetwork or .*, got Linear"):
+        GenomeModule(module)
