@@ -37,6 +37,10 @@ class ObservationScaling:
         scaled = (observation - self.offset) / self.scale
         return np.clip(scaled, -LARGEST, LARGEST).astype(np.float32)
 
+    def then(self, mean: NDArray[np.float64], deviation: NDArray[np.float64]) -> Self:
+        """This scaling, and what comes out of it less a mean, over a deviation [observations]."""
+        return type(self)(self.offset + self.scale * mean, self.scale * deviation)
+
     @classmethod
     def fit(cls, space: spaces.Space[Any], seen: ArrayLike) -> Self:
         """The scaling of a space, Box or Discrete, in which [times, observations] were seen.

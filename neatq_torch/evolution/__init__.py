@@ -4,6 +4,7 @@ from neatq_torch.evolution.neat import NEAT, NEATConfig
 from neatq_torch.evolution.population import (
     FixedConfig,
     FixedPopulation,
+    LayeredFounders,
     Population,
     Replacement,
     generator_from,
@@ -24,6 +25,7 @@ __all__ = [
     "OPENNERO",
     "FixedConfig",
     "FixedPopulation",
+    "LayeredFounders",
     "NEATConfig",
     "Population",
     "Replacement",

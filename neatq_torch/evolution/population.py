@@ -14,6 +14,7 @@ from neatq_torch.evolution.reproduction import NEAT_2002, Parent, offspring
 from neatq_torch.evolution.species import Species
 from neatq_torch.evolution.trials import Kept, checked, weighted
 from neatq_torch.genome import (
+    ACTIVATIONS,
     Genome,
     InnovationLedger,
     initial_genome,
@@ -22,6 +23,7 @@ from neatq_torch.genome import (
     random_genome,
     unpack_genomes,
 )
+from neatq_torch.genome.rules import index_of
 from neatq_torch.kinds import Kinds, check_fields
 
 Data = ArrayLike | None
@@ -29,6 +31,28 @@ Data = ArrayLike | None
 
 Start = Literal["minimal", "layered", "random"]
 """What founders look like: no hidden nodes; one hidden layer; a random topology."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayeredFounders:
+    """Founders with one hidden layer, made for learning by gradient.
+
+    Attributes:
+        hidden: hidden nodes of each.
+        activation: of the hidden nodes.
+        weight_scale: weights are as large as those of other founders, times this.
+
+    Example:
+        >>> config = RtNEATConfig(founders=LayeredFounders(hidden=4))
+    """
+
+    hidden: int = 8
+    activation: str = "tanh"
+    weight_scale: float = 0.3
+
+    def __post_init__(self) -> None:
+        check_fields(self, hidden="[1, inf]", weight_scale="(0, inf)")
+        index_of(self.activation, ACTIVATIONS, "activation")
 
 
 class Replacement(NamedTuple):
@@ -124,7 +148,9 @@ class Population(Kept, ABC):
         bias: bool = True,
         observation_schema: str = "",
     ) -> Self:
-        """A population of founders, numbered from 1, that look as `config.start` says, if it does.
+        """A population of founders, numbered from 1, that look as the configuration says.
+
+        That is `config.start` or `config.founders`, if it has such; else they are minimal.
 
         Args:
             config: of this kind of population.
@@ -143,9 +169,14 @@ class Population(Kept, ABC):
         settings: dict[str, Any] = {"rng": rng, "bias": bias, "activation": activation or usual}
         settings["observation_schema"] = observation_schema
         make, look = initial_genome, getattr(config, "start", "minimal")
+        layered: LayeredFounders | None = getattr(config, "founders", None)
         if look != "minimal":
             make = layered_genome if look == "layered" else random_genome
             settings["hidden"] = config.start_hidden
+        elif layered is not None:
+            make, settings["hidden"] = layered_genome, layered.hidden
+            settings["hidden_activation"] = layered.activation
+            settings["weight_scale"] = layered.weight_scale
         numbers = range(1, slots + 1)
         founders = [make(inputs, outputs, genome_id=one, **settings) for one in numbers]
         ledger = InnovationLedger.for_genomes(founders)

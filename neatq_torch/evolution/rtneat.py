@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neatq_torch.evolution.novelty import Novelty, mixed
-from neatq_torch.evolution.population import Data, Population, Replacement
+from neatq_torch.evolution.population import Data, LayeredFounders, Population, Replacement
 from neatq_torch.evolution.reproduction import OPENNERO, ReproductionConfig, choose_parents
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
 from neatq_torch.evolution.trials import Trials, relative_fitness, weighted
@@ -35,6 +35,7 @@ class RtNEATConfig:
         ineligible_fraction: share of the population that is too young to be judged, in (0, 1].
         novelty: weight of novelty beside fitness in who lives and who breeds, in (0, 1]; None for
             fitness alone.
+        founders: what the first genomes look like; None: no hidden nodes.
 
     Example:
         >>> config = RtNEATConfig(minimum_life_ticks=500)
@@ -46,6 +47,7 @@ class RtNEATConfig:
     minimum_life_episodes: int | None = None
     ineligible_fraction: float = 0.5
     novelty: float | None = None
+    founders: LayeredFounders | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, minimum_life_ticks="[1, inf]", minimum_life_episodes="[1, inf]")

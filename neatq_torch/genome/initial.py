@@ -64,19 +64,29 @@ def layered_genome(
     hidden: int,
     rng: np.random.Generator,
     bias: bool = True,
+    hidden_activation: str | None = None,
+    weight_scale: float = 1.0,
     **settings: Unpack[Settings],
 ) -> Genome:
     """Return a genome with one hidden layer, as networks of fixed structure have it.
 
     Every input and the bias are linked to every hidden node, every hidden node and the bias to
-    every output; inputs and outputs are not linked. Hidden nodes have the ids behind the outputs.
-    For all that is not said here see `initial_genome`.
+    every output; inputs and outputs are not linked. Hidden nodes have the ids behind the outputs;
+    their activation is that of the outputs, unless another is given. Weights are multiplied by
+    `weight_scale`. For all that is not said here see `initial_genome`.
     """
     sources, targets = _forward_pairs(inputs + bias, outputs, hidden)
     from_sensor, into_output = sources <= inputs + bias, targets <= inputs + bias + outputs
     is_bias = bias & (sources == inputs + 1)
     kept = (from_sensor & ~into_output) | (into_output & (~from_sensor | is_bias))
-    return _genome((inputs, bias, outputs, hidden), sources[kept], targets[kept], rng, **settings)
+    sizes = inputs, bias, outputs, hidden
+    genome = _genome(sizes, sources[kept], targets[kept], rng, **settings)
+    weights, activation = genome.link_weight * np.float32(weight_scale), genome.node_activation
+    if hidden_activation is not None:
+        code = index_of(hidden_activation, ACTIVATIONS, "hidden_activation")
+        activation = np.where(genome.node_kind == NodeKind.HIDDEN, code, activation)
+    kinds = activation.astype(np.uint8)
+    return genome.unchecked(link_weight=weights, node_activation=kinds)
 
 
 def random_genome(

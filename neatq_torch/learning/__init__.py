@@ -1,7 +1,7 @@
 """Acting and temporal-difference learning, as TorchRL parts."""
 
 from neatq_torch.learning.candidates import CandidatePolicy, CandidateValue
-from neatq_torch.learning.exploration import EpsilonGreedy
+from neatq_torch.learning.exploration import ActionNoise, EpsilonGreedy
 from neatq_torch.learning.genes import LearningGenes
 from neatq_torch.learning.heads import CandidateHeads, DiscreteHeads, Heads
 from neatq_torch.learning.learner import (
@@ -13,18 +13,23 @@ from neatq_torch.learning.learner import (
     write_back,
 )
 from neatq_torch.learning.module import GenomeModule
+from neatq_torch.learning.normalization import RunningNormalization
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.registry import LearnerParts, learner_kinds, register_learner
 from neatq_torch.learning.replay import ReplayConfig, ReplayLearner
+from neatq_torch.learning.shared_critic import CriticConfig, CriticLearner
 from neatq_torch.learning.table import TableConfig, TableLearner
 from neatq_torch.learning.traces import TraceConfig, TraceLearner
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 
 __all__ = [
+    "ActionNoise",
     "CandidateHeads",
     "CandidatePolicy",
     "CandidateTDLoss",
     "CandidateValue",
+    "CriticConfig",
+    "CriticLearner",
     "DiscreteHeads",
     "EpsilonGreedy",
     "GenomeModule",
@@ -35,6 +40,7 @@ __all__ = [
     "NoLearningConfig",
     "ReplayConfig",
     "ReplayLearner",
+    "RunningNormalization",
     "StepConfig",
     "TDConfig",
     "TDLearner",

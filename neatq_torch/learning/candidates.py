@@ -8,8 +8,9 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, dispatch
 from torch import Tensor
 
-from neatq_torch.learning.exploration import EpsilonGreedy
+from neatq_torch.learning.exploration import ActionNoise, EpsilonGreedy, Seeds
 from neatq_torch.learning.heads import Heads, check_heads
+from neatq_torch.learning.normalization import RunningNormalization
 from neatq_torch.network import PopulationNetwork, fitted
 
 NOBODY = -1
@@ -79,6 +80,8 @@ class CandidatePolicy(TensorDictModuleBase):
         double_activation: Activate each network a second time, with the observation before, as
             the published rtNEAT+Q did. Outputs are not affected at once, but recurrent state is.
         forgets: Start afresh where an episode begins (`step_count` is 0), too.
+        noise: Added to the actions of `CandidateHeads`, in halves of what is allowed of each.
+        normalization: Of what the networks read.
 
     Raises:
         ValueError: If network, heads and exploration do not fit each other.
@@ -100,6 +103,8 @@ class CandidatePolicy(TensorDictModuleBase):
         *,
         double_activation: bool = False,
         forgets: bool = False,
+        noise: ActionNoise | None = None,
+        normalization: RunningNormalization | None = None,
     ) -> None:
         super().__init__()
         self.in_keys = ["observation"]
@@ -111,6 +116,7 @@ class CandidatePolicy(TensorDictModuleBase):
         self.exploration = exploration
         self.double_activation = double_activation
         self.forgets = forgets
+        self.noise, self.normalization = noise, normalization
         self._rows, lead = exploration.shape, len(network.shape)
         if self._rows[:lead] != network.shape:
             raise ValueError(
@@ -132,11 +138,15 @@ class CandidatePolicy(TensorDictModuleBase):
             )
         if self.forgets and (begins := tensordict.get("step_count").squeeze(-1) == 0).any():
             self._forget(begins)
+        if self.normalization is not None:
+            observation = self.normalization(observation)
         output, memory = self.network.step(observation, self.memory)
         candidates, values = self.heads(output)
         index = self.exploration(values)
         taken = index.unsqueeze(-1)
         action = candidates.take_along_dim(taken.unsqueeze(-1), -2).squeeze(-2)
+        if self.noise is not None:
+            action = self.heads.moved(action, self.noise())
         owner, living = self._owner(), tensordict.get("living", None)
         tensordict.set("candidates", candidates)
         tensordict.set("action_value", values)
@@ -153,6 +163,17 @@ class CandidatePolicy(TensorDictModuleBase):
             tensordict.set(("next", "network_state"), memory)
             self.memory = memory
         return tensordict
+
+    @property
+    def explores(self) -> bool:
+        """Whether anything is left to chance."""
+        return self.noise is not None or bool(self.exploration.epsilon.any())
+
+    def begin(self, seeds: Seeds) -> None:
+        """Explore by other chance from here on; see `EpsilonGreedy.begin`."""
+        self.exploration.begin(seeds)
+        if self.noise is not None:
+            self.noise.begin(seeds)
 
     def reset(self, newborn: Tensor) -> None:
         """Let newborns (mask [*batch]) start afresh: no state or exploration of those before."""
@@ -174,16 +195,21 @@ class CandidatePolicy(TensorDictModuleBase):
         if self.double_activation:
             self.previous = self.previous.masked_fill(mask.unsqueeze(-1), 0.0)
         self.exploration.reset(mask)
+        if self.noise is not None:
+            self.noise.reset(mask)
 
     def state_dict(self, *args: Any, **settings: Any) -> dict[str, Any]:
         """Recurrent state and exploration; torch's own for a module around it."""
         if args or settings:
             return super().state_dict(*args, **settings)
         own = {"memory": self.memory, "previous": self.previous}
-        return own | {"exploration": self.exploration.state_dict()}
+        own |= {"exploration": self.exploration.state_dict()}
+        return own if self.noise is None else own | {"noise": self.noise.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Go on from `state`."""
         self.memory = fitted(state["memory"], self._afresh())
         self.previous = fitted(state["previous"], self.previous)
         self.exploration.load_state_dict(state["exploration"])
+        if self.noise is not None:
+            self.noise.load_state_dict(state["noise"])

@@ -34,6 +34,40 @@ def _shift_right(bits: Tensor, shift: int) -> Tensor:
     return (bits >> shift) & ((1 << (64 - shift)) - 1)
 
 
+Seeds = Sequence[int] | Sequence[Sequence[int]]
+"""One for each arena; or one for each slot, `[arenas][slots]`, which then explores like the first
+slot of an arena with that seed."""
+
+
+def slot_keys(seeds: Seeds, shape: Sequence[int], *, draws: int) -> Tensor:
+    """Keys of as many streams of chance for every slot, int64 [draws, *shape].
+
+    Raises:
+        ValueError: If there are more or fewer seeds than arenas, or slots.
+    """
+    rows = [one if isinstance(one, Sequence) else [one] for one in seeds]
+    robots = math.prod(shape[1:])
+    slots = range(1 if rows and isinstance(seeds[0], Sequence) else robots)
+    wide = {len(row) * len(slots) for row in rows}
+    if len(rows) != math.prod(shape[:1]) or wide != {robots}:
+        raise ValueError(
+            f"expected one seed for each arena of {tuple(shape)}, or one for each slot, got "
+            f"{len(rows)} of {sorted(wide)} slots"
+        )
+    arenas = torch.tensor([[_signed(seed * _STEP) for seed in row] for row in rows])
+    within = torch.tensor([_signed(slot * _STEP) for slot in slots])
+    keys = _scramble(_scramble(arenas) + within)
+    numbers = torch.tensor([_signed(draw * _FACTORS[0]) for draw in range(draws)])
+    return (keys + numbers.view(draws, 1, 1)).view(draws, *shape)
+
+
+def drawn_bits(keys: Tensor, first: int) -> Tensor:
+    """Bits of streams [draws, *shape] for the ticks from `first` on [draws, ticks, *shape]."""
+    ones = (1,) * (keys.ndim - 1)
+    steps = [_signed(tick * _STEP) for tick in range(first, first + _DRAWN_TICKS)]
+    return _scramble(keys.unsqueeze(1) + keys.new_tensor(steps).view(-1, *ones))
+
+
 class EpsilonGreedy(nn.Module):
     """Epsilon-greedy over candidates, for every robot on its own.
 
@@ -97,33 +131,15 @@ class EpsilonGreedy(nn.Module):
             self.register_buffer(name, torch.empty(0), persistent=False)
         self.begin(seeds)
 
-    def begin(self, seeds: Sequence[int] | Sequence[Sequence[int]]) -> None:
+    def begin(self, seeds: Seeds) -> None:
         """Start anew: tick 0, nothing held, other chance; epsilon stays.
-
-        Args:
-            seeds: One seed for each arena; or one for each slot, `[arenas][slots]`, which then
-                explores like the first slot of an arena with that seed.
 
         Raises:
             ValueError: If there are more or fewer seeds.
         """
-        rows = [one if isinstance(one, Sequence) else [one] for one in seeds]
-        robots = math.prod(self.shape[1:])
-        slots = range(1 if rows and isinstance(seeds[0], Sequence) else robots)
-        wide = {len(row) * len(slots) for row in rows}
-        if len(rows) != math.prod(self.shape[:1]) or wide != {robots}:
-            raise ValueError(
-                f"expected one seed for each arena of {self.shape}, or one for each slot, got "
-                f"{len(rows)} of {sorted(wide)} slots"
-            )
         self.tick = 0
         self._candidates = 0  # for which numbers are drawn; 0: none are
-        arenas = torch.tensor([[_signed(seed * _STEP) for seed in row] for row in rows])
-        within = torch.tensor([_signed(slot * _STEP) for slot in slots])
-        keys = _scramble(_scramble(arenas) + within)
-        draws = torch.tensor([_signed(draw * _FACTORS[0]) for draw in range(3)])
-        keys = (keys + draws.view(3, 1, 1)).view(3, *self.shape)
-        self._keys = keys.to(self.epsilon.device)
+        self._keys = slot_keys(seeds, self.shape, draws=3).to(self.epsilon.device)
         self.held = torch.zeros_like(self.epsilon, dtype=torch.long)
         self.until_tick = torch.zeros_like(self.held)
 
@@ -171,13 +187,104 @@ class EpsilonGreedy(nn.Module):
 
     def _draw(self, first: int, candidates: int) -> None:
         """Draw for the ticks from `first` on [ticks, *shape]."""
-        ones = (1,) * len(self.shape)
-        steps = [_signed(tick * _STEP) for tick in range(first, first + _DRAWN_TICKS)]
-        bits = self._keys.unsqueeze(1) + self._keys.new_tensor(steps).view(-1, *ones)
-        uniform = _shift_right(_scramble(bits), 40) * 2.0**-24
+        uniform = _shift_right(drawn_bits(self._keys, first), 40) * 2.0**-24
         self._chance, choice, duration = uniform
         self._choice = (choice * candidates).long()
         hold = (1 / (1 - duration)).clamp_max(self.max_hold_ticks).long()
         ticks = torch.arange(first, first + _DRAWN_TICKS, device=hold.device)
-        self._end = hold + (ticks - 1).view(-1, *ones)
+        self._end = hold + (ticks - 1).view(-1, *(1,) * len(self.shape))
         self._candidates = candidates
+
+
+class ActionNoise(nn.Module):
+    """Noise on continuous actions, for every robot on its own.
+
+    For each number of an action an autoregressive process of mean 0 and standard deviation 1,
+
+        x <- rho x + sqrt(1 - rho^2) n,
+
+    where n is the sum of twelve uniform numbers less six: nearly normal, with the same bits on any
+    device. rho is the `persistence`: 0 is white noise; with more, exploration lasts. The chance is
+    that of `EpsilonGreedy`: a function of (seed of the arena, slot, tick) alone.
+
+    Args:
+        shape: (arenas, robots).
+        actions: Numbers A of an action.
+        seeds: One seed for each arena.
+        scale: Standard deviation of what `forward` gives.
+        persistence: rho, in [0, 1).
+
+    Example:
+        >>> noise = ActionNoise((1, 50), 2, seeds=[0], scale=0.1)
+        >>> noise().shape
+        torch.Size([1, 50, 2])
+    """
+
+    value: Tensor
+    _keys: Tensor
+    _drawn: Tensor
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        actions: int,
+        *,
+        seeds: Seeds,
+        scale: float,
+        persistence: float = 0.0,
+    ) -> None:
+        super().__init__()
+        if not (scale >= 0 and 0 <= persistence < 1):
+            raise ValueError(
+                "expected a scale of at least 0 and a persistence in [0, 1), got "
+                f"{scale} and {persistence}"
+            )
+        self.shape, self.actions = tuple(shape), actions
+        self.scale, self.persistence = scale, persistence
+        self.register_buffer("value", torch.zeros(*self.shape, actions), persistent=False)
+        for name in ("_keys", "_drawn"):
+            self.register_buffer(name, torch.empty(0), persistent=False)
+        self.begin(seeds)
+
+    def begin(self, seeds: Seeds) -> None:
+        """Start anew: tick 0, no noise so far, other chance."""
+        self.tick, self._drawn = 0, self.value.new_empty(0)
+        keys = slot_keys(seeds, self.shape, draws=3 * self.actions + 3)[3:]  # not epsilon's
+        self._keys = keys.to(self.value.device)
+        self.value = torch.zeros_like(self.value)
+
+    def forward(self) -> Tensor:
+        """The noise of the next tick [*shape, actions]; none under deterministic exploration."""
+        if exploration_type() not in (None, ExplorationType.RANDOM) or not self.scale:
+            return torch.zeros_like(self.value)
+        self.tick += 1
+        at = self.tick % _DRAWN_TICKS
+        if at == 0 or not len(self._drawn):
+            self._draw(self.tick - at)
+        fresh = math.sqrt(1 - self.persistence**2)
+        self.value = self.persistence * self.value + fresh * self._drawn[at]
+        return self.scale * self.value
+
+    def _draw(self, first: int) -> None:
+        bits = drawn_bits(self._keys, first).unflatten(0, (self.actions, 3))
+        # One after the other, so that the sum is the same to the last bit wherever it stands.
+        total = torch.zeros_like(bits[:, 0], dtype=torch.float32)
+        for stream in bits.unbind(1):
+            for shift in (0, 16, 32, 48):
+                total += (_shift_right(stream, shift) & 0xFFFF) * 2.0**-16
+        self._drawn = (total - 6 + 6 * 2.0**-16).movedim(0, -1)
+
+    def reset(self, newborn: Tensor) -> None:
+        """Begin without noise (mask [*shape])."""
+        self.value = self.value.masked_fill(newborn.unsqueeze(-1), 0)
+
+    def state_dict(self, *args: Any, **settings: Any) -> dict[str, Any]:
+        """Ticks so far and the processes; torch's own for a module around it."""
+        if args or settings:
+            return super().state_dict(*args, **settings)
+        return {"tick": self.tick, "value": self.value.clone()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Go on from `state`."""
+        self.tick, self._drawn = state["tick"], self.value.new_empty(0)
+        self.value = torch.as_tensor(state["value"]).to(self.value)

@@ -52,6 +52,10 @@ class Heads(nn.Module):
         low, high = self.value_range
         return values if self.value_range == (0.0, 1.0) else low + (high - low) * values
 
+    def moved(self, action: Tensor, noise: Tensor) -> Tensor:
+        """Actions [..., A] with noise of the same shape; those of a few choices as they are."""
+        return action
+
     def best(self, output: Tensor) -> Tensor:
         """The candidate of the greatest value [..., A], of equal ones the first."""
         candidates, values = self(output)
@@ -111,6 +115,11 @@ class CandidateHeads(Heads):
         unit = output[..., : self.candidates * self.actions].clamp(0, 1)
         unit = unit.unflatten(-1, (self.candidates, self.actions))
         return self.low + unit * self.span, self.values(output)
+
+    def moved(self, action: Tensor, noise: Tensor) -> Tensor:
+        """Actions [..., A] with noise, in halves of the span of each, within the bounds."""
+        moved = action + noise * (self.span / 2)
+        return moved.maximum(self.low).minimum(self.low + self.span)
 
     def values(self, output: Tensor) -> Tensor:
         """The values [..., K] alone."""

@@ -232,19 +232,9 @@ class TDLearner:
     def _step(self) -> None:
         weight, gradient = self.network.weight, self.network.weight.grad
         assert gradient is not None
-        gradient = self._adam(gradient) if self.adam else gradient
+        if self.adam:
+            gradient = adam(gradient, self.steps, self.first_moment, self.second_moment)
         take_over(weight, weight - self.learning_rate.unsqueeze(1) * gradient)
-
-    def _adam(self, gradient: Tensor) -> Tensor:
-        first, second = ADAM_BETAS
-        self.steps += 1
-        self.first_moment.lerp_(gradient, 1 - first)
-        self.second_moment.lerp_(gradient.square(), 1 - second)
-        # Not 1 - beta**steps: torch's pow differs in the last bit with the place in the tensor.
-        unbiased = [-torch.expm1(self.steps * math.log(beta)) for beta in ADAM_BETAS]
-        scale = unbiased[1].sqrt() / unbiased[0]
-        root = self.second_moment.sqrt() + ADAM_EPSILON
-        return scale.unsqueeze(1) * self.first_moment / root
 
     @torch.no_grad()
     def reset(self, newborn: Tensor) -> None:
@@ -276,6 +266,21 @@ class TDLearner:
         """Go on from `state`."""
         for name, own in self.state_dict().items():
             own.copy_(fitted(state[name], own))
+
+
+def adam(gradient: Tensor, steps: Tensor, first_moment: Tensor, second_moment: Tensor) -> Tensor:
+    """What Adam would subtract, at rate 1, for gradients [networks, columns].
+
+    Steps [networks] and moments [networks, columns] of the networks are brought up to date.
+    """
+    first, second = ADAM_BETAS
+    steps += 1
+    first_moment.lerp_(gradient, 1 - first)
+    second_moment.lerp_(gradient.square(), 1 - second)
+    # Not 1 - beta**steps: torch's pow differs in the last bit with the place in the tensor.
+    unbiased = [-torch.expm1(steps * math.log(beta)) for beta in ADAM_BETAS]
+    scale = unbiased[1].sqrt() / unbiased[0]
+    return scale.unsqueeze(1) * first_moment / (second_moment.sqrt() + ADAM_EPSILON)
 
 
 def take_over(weight: Tensor, changed: Tensor, wanted: Tensor | None = None) -> Tensor:

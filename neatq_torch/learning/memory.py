@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -16,7 +18,7 @@ NEXT = ("observation", "reward", "terminated")
 
 
 class TransitionMemory:
-    """The latest transitions of a population, whoever made them, on the CPU.
+    """The latest transitions of a population, whoever made them.
 
     Keeps observation, action, reward, next observation, how many ticks lie between the two
     (`steps_to_next_obs`, 1 where nothing is said) and whether the latter was terminal; of the
@@ -24,15 +26,16 @@ class TransitionMemory:
 
     Args:
         capacity: Transitions kept; the oldest make room.
+        device: Where they are kept.
 
     Raises:
         ValueError: If the capacity is less than 1.
     """
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, capacity: int, device: torch.device | str = "cpu") -> None:
         if capacity < 1:
             raise ValueError(f"capacity: expected at least 1, got {capacity}")
-        self.capacity = capacity
+        self.capacity, self.device = capacity, torch.device(device)
         self._columns: dict[str, Tensor] = {}
         self._added = 0
 
@@ -56,12 +59,12 @@ class TransitionMemory:
         added = len(rows["next_reward"])
         if not self._columns:
             self._columns = {
-                name: column.new_zeros(self.capacity, *column.shape[1:], device="cpu")
+                name: column.new_zeros(self.capacity, *column.shape[1:], device=self.device)
                 for name, column in rows.items()
             }
-        rooms = (self._added + torch.arange(added)) % self.capacity
+        rooms = ((self._added + torch.arange(added)) % self.capacity).to(self.device)
         for name, column in rows.items():
-            self._columns[name].index_copy_(0, rooms, column.to("cpu"))
+            self._columns[name].index_copy_(0, rooms, column.to(self.device))
         self._added += added
 
     def sample(self, size: int, generator: torch.Generator) -> TensorDictBase:
@@ -70,19 +73,26 @@ class TransitionMemory:
         Raises:
             ValueError: If nothing is stored.
         """
-        if not len(self):
-            raise ValueError("expected stored transitions to draw from, got none: extend first")
-        rows = self._rows(torch.randint(len(self), (size,), generator=generator))
+        rows = self.draw(size, generator)
         following = {name: rows[f"next_{name}"] for name in NEXT}
         return TensorDict({name: rows[name] for name in NOW} | {"next": following}, [size])
 
-    def _rows(self, ages: Tensor) -> Saved:
+    def draw(self, size: int, generator: torch.Generator, *names: str) -> Saved:
+        """As `sample`, but plain columns, those of `next` with that before their names.
+
+        Only those columns that are named, or all.
+        """
+        if not len(self):
+            raise ValueError("expected stored transitions to draw from, got none: extend first")
+        return self._rows(torch.randint(len(self), (size,), generator=generator), names)
+
+    def _rows(self, ages: Tensor, names: Sequence[str] = ()) -> Saved:
         """Transitions by age, 0 for the oldest."""
         # Not by where they stand: what is restored stands elsewhere.
         oldest = self._added % self.capacity if self._added > self.capacity else 0
-        rooms = (ages + oldest) % self.capacity
+        rooms = ((ages + oldest) % self.capacity).to(self.device)
         # A quarter of the time that brackets take.
-        return {name: column.index_select(0, rooms) for name, column in self._columns.items()}
+        return {name: self._columns[name].index_select(0, rooms) for name in names or self._columns}
 
     def state_dict(self) -> Saved:
         """All transitions, the oldest first."""

@@ -19,8 +19,10 @@ from neatq_torch.learning.learner import (
     TDConfig,
     TDLearner,
 )
+from neatq_torch.learning.normalization import RunningNormalization
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.replay import ReplayConfig, ReplayLearner
+from neatq_torch.learning.shared_critic import CriticConfig, CriticLearner
 from neatq_torch.learning.table import TableConfig, TableLearner
 from neatq_torch.learning.traces import TraceConfig, TraceLearner
 from neatq_torch.learning.wire_fitting import WireFittingLoss
@@ -38,6 +40,7 @@ class LearnerParts(NamedTuple):
         shape: (arenas, slots).
         seeds: One for each arena.
         episodes: Of a life; None where slots live on and on.
+        normalization: Of what networks read; None where that is what the world gives.
     """
 
     network: PopulationNetwork | None
@@ -45,6 +48,7 @@ class LearnerParts(NamedTuple):
     shape: tuple[int, int]
     seeds: Sequence[int]
     episodes: int | None = None
+    normalization: RunningNormalization | None = None
 
     def networks(self) -> PopulationNetwork:
         """The networks; ValueError if there are none."""
@@ -96,9 +100,18 @@ def _replay(config: ReplayConfig, parts: LearnerParts) -> ReplayLearner:
 
     network = parts.valued()
     learner = TDLearner(network, make_loss(network), config)
-    sequences = (np.random.SeedSequence([seed, REPLAY_STREAM]) for seed in parts.seeds)
-    seeds = [int(sequence.generate_state(1)[0]) for sequence in sequences]
-    return ReplayLearner(learner, make_loss, config, seeds)
+    return ReplayLearner(learner, make_loss, config, replay_seeds(parts.seeds))
+
+
+def replay_seeds(seeds: Sequence[int]) -> list[int]:
+    """Seeds of what is drawn from the memory of each arena, which has the seeds given."""
+    sequences = (np.random.SeedSequence([seed, REPLAY_STREAM]) for seed in seeds)
+    return [int(sequence.generate_state(1)[0]) for sequence in sequences]
+
+
+def _critic(config: CriticConfig, parts: LearnerParts) -> CriticLearner:
+    seeds = replay_seeds(parts.seeds)
+    return CriticLearner(parts.networks(), parts.heads, config, seeds, parts.normalization)
 
 
 def _table(config: TableConfig, parts: LearnerParts) -> TableLearner:
@@ -130,5 +143,6 @@ def register_learner(name: str, config: type, make: Callable[[Any, LearnerParts]
 register_learner("none", NoLearningConfig, lambda _, parts: NoLearning(parts.networks()))
 register_learner("td", TDConfig, _td)
 register_learner("replay", ReplayConfig, _replay)
+register_learner("critic", CriticConfig, _critic)
 register_learner("traces", TraceConfig, _traces)
 register_learner("table", TableConfig, _table)

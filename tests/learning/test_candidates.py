@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -170,7 +172,7 @@ def test_a_newborn_ends_the_run_of_its_predecessor() -> None:
     assert explore.until_tick.tolist() == [[0, 27]]
 
 
-def recurrent_policy(*, genome_ids: tuple[int, int] = (0, 0), **settings: bool) -> CandidatePolicy:
+def recurrent_policy(*, genome_ids: tuple[int, int] = (0, 0), **settings: Any) -> CandidatePolicy:
     genome = initial_genome(1, 1, rng=np.random.default_rng(0), bias=False)
     genome = genome.replaced(
         link_innovation=np.array([1, 2]),

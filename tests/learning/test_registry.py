@@ -153,7 +153,7 @@ def test_arenas_draw_from_their_own_seeds_whatever_stands_beside() -> None:
 def test_names_and_configurations_belong_together(name: str) -> None:
     config = learner_kinds.config(name)()
     assert learner_kinds.name_of(config) == name
-    learner = made(config)
+    learner = made(config, CandidateHeads(1, [0.0], [1.0]) if name == "critic" else HEADS)
     learner.load_state_dict(learner.state_dict())
 
 
@@ -240,7 +240,9 @@ def test_a_learner_of_ones_own_has_a_name(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_what_cannot_be_made_says_why() -> None:
-    with pytest.raises(ValueError, match=r"one of none, td, replay, traces, table, .* got 'x"):
+    with pytest.raises(
+        ValueError, match=r"one of none, td, replay, critic, traces, table, .* got 'x"
+    ):
         learner_kinds.config("xcs")
     with pytest.raises(ValueError, match="expected networks to learn with, got none"):
         learner_kinds.maker_of(TDConfig())(TDConfig(), LearnerParts(None, HEADS, (1, 1), [0]))

@@ -11,9 +11,18 @@ import gymnasium
 
 from neatq_envs.gymnasium_task import PREFIX
 from neatq_envs.scenario import TASKS, find_scenario
-from neatq_torch.evolution import FixedConfig, NEATConfig, RtNEATConfig, population_kinds
+from neatq_torch.evolution import (
+    OPENNERO,
+    FixedConfig,
+    LayeredFounders,
+    NEATConfig,
+    RtNEATConfig,
+    population_kinds,
+)
+from neatq_torch.genome import MutationConfig
 from neatq_torch.kinds import ARMS_PAGE, WORLDS_PAGE, ConfigError
 from neatq_torch.learning import (
+    CriticConfig,
     NoLearningConfig,
     ReplayConfig,
     TableConfig,
@@ -52,6 +61,7 @@ class Arm:
             dotted path in `RunConfig.to_dict`.
         slots: Genomes on Gymnasium tasks.
         arena_only: Why it runs nowhere else, and what does.
+        on_gymnasium: What it is instead on Gymnasium tasks.
     """
 
     summary: str
@@ -63,10 +73,32 @@ class Arm:
     episodic: Mapping[str, Any] = field(default_factory=dict)
     slots: int = 150
     arena_only: str | None = None
+    on_gymnasium: Arm | None = None
 
 
 _PUBLISHED = {"sensors": "opennero", "reward": "published"}
 _PROGRESS = {"sensors": "arena", "reward": "progress"}
+_GENTLE = MutationConfig(
+    weight_scheme="uniform",
+    weight_mutation_power=0.2,
+    weight_replace_prob=0.0,
+    max_link_weight=None,
+    recurrent_link_prob=0.0,
+    hidden_activation="tanh",
+)
+"""Mutations that leave a network most of what it has learnt; critics do not teach memory."""
+_TAUGHT = Arm(
+    summary="rtNEAT, and a critic that all share teaches every network (shared replay)",
+    population=RtNEATConfig(
+        reproduction=replace(OPENNERO, mutation=_GENTLE),
+        minimum_life_episodes=1,
+        ineligible_fraction=0.6,
+        founders=LayeredFounders(hidden=6),
+    ),
+    learner=CriticConfig(horizon=3),
+    network=NetworkConfig(candidates=1, normalization="running"),
+    slots=20,
+)
 _EPISODES = {"population.minimum_life_episodes": 2}
 
 ARMS: dict[str, Arm] = {
@@ -122,7 +154,7 @@ ARMS: dict[str, Arm] = {
             "learner.horizon": 10,
             **_EPISODES,
         },
-        slots=50,
+        on_gymnasium=_TAUGHT,
     ),
     "neat+q": Arm(
         summary="NEAT+Q (Whiteson & Stone 2006): generations whose networks learn by Q(lambda)",
@@ -188,6 +220,8 @@ def preset(
         expected = f"arm: expected one of {', '.join(ARMS)}"
         raise ConfigError(f"{expected}; got {arm!r} (explained in {ARMS_PAGE})")
     chosen = ARMS[arm]
+    if isinstance(task, str) and task.startswith(PREFIX):
+        chosen = chosen.on_gymnasium or chosen
     world = _world(task, chosen, env_kwargs or {})
     if chosen.arena_only and not isinstance(world, ArenaConfig):
         raise ConfigError(f"arm: {arm} does not run on {task}: {chosen.arena_only}")

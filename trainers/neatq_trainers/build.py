@@ -10,13 +10,17 @@ from neatq_envs.random_play import EnvFacts
 from neatq_torch.evolution import Population, population_kinds
 from neatq_torch.kinds import ConfigError
 from neatq_torch.learning import (
+    ActionNoise,
+    CandidateHeads,
     CandidatePolicy,
+    CriticConfig,
     EpsilonGreedy,
     Heads,
     Learner,
     LearnerParts,
     LearningGenes,
     ReplayConfig,
+    RunningNormalization,
     TDConfig,
     TraceConfig,
     learner_kinds,
@@ -64,13 +68,16 @@ def _in_world(config: RunConfig, world: World, state: State | None, episodes: in
     populations = _populations(config, world, heads, state)
     network = _network(config, world, populations, state)
     shape = world.shape
-    parts = LearnerParts(network, heads, shape, config.seeds, episodes)
+    normalization = None
+    if config.network.normalization is not None:
+        normalization = RunningNormalization(shape[0], world.inputs)
+    parts = LearnerParts(network, heads, shape, config.seeds, episodes, normalization)
     try:
         learner = learner_kinds.maker_of(config.learner)(config.learner, parts)
     except ValueError as error:
         raise ConfigError(named("learner", error)) from error
     arena = isinstance(config.world, ArenaConfig)
-    policy = getattr(learner, "policy", None) or _policy(config, network, heads)
+    policy = getattr(learner, "policy", None) or _policy(config, network, heads, normalization)
     run = Run(
         config=config,
         world=world,
@@ -80,6 +87,7 @@ def _in_world(config: RunConfig, world: World, state: State | None, episodes: in
         network=network,
         populations=populations,
         genes=_genes(config, learner, policy, populations),
+        normalization=normalization,
         metrics=DistanceMetrics(shape[0]) if arena else ReturnMetrics(populations, shape),
     )
     run.begin_generation()
@@ -106,13 +114,20 @@ def _restore(run: Run, state: State) -> None:
         run.world.env.load_world_state(state["world"])
     if run.genes is not None:
         run.genes.load_state_dict(state["genes"])
+    if run.normalization is not None:
+        run.normalization.load_state_dict(state["normalization"])
+
+
+def _learns_values(config: RunConfig) -> bool:
+    """Whether networks put out Q-values; where a critic has them, they only act."""
+    return config.learns and not isinstance(config.learner, CriticConfig)
 
 
 def heads_of(config: RunConfig, world: World) -> Heads:
     """How outputs are read; without learning they are no values and keep their own range."""
     network, learner = config.network, config.learner
     values = network.value_range or (0.0, 1.0)
-    if config.learns and network.value_range is None:
+    if _learns_values(config) and network.value_range is None:
         normalized = getattr(learner, "normalize_return", False)
         values = world.default_range(learner.discount, normalized=normalized)
     heads = world.heads(network.candidates, values)
@@ -135,8 +150,10 @@ def _populations(
         with restoring():
             saved = state["populations"]
             return [kind.from_state(own, one, reward_weights=weights) for one in saved]
-    ranks = not config.learns and isinstance(config.world, GymnasiumConfig)
-    only_ranks = ranks and heads.outputs == heads.candidates > 1
+    usual = "steep_sigmoid" if isinstance(config.learner, CriticConfig) else "sigmoid"
+    ranks = not _learns_values(config) and isinstance(config.world, GymnasiumConfig)
+    if ranks and heads.outputs == heads.candidates > 1:
+        usual = "identity"
     try:
         return [
             kind.start(
@@ -146,7 +163,7 @@ def _populations(
                 outputs=heads.outputs,
                 rng=np.random.default_rng([seed, world.stream]),
                 reward_weights=weights,
-                activation=config.network.activation or ("identity" if only_ranks else "sigmoid"),
+                activation=config.network.activation or usual,
                 observation_schema=config.world.schema,
             )
             for seed in config.seeds
@@ -169,7 +186,12 @@ def _network(
     return network
 
 
-def _policy(config: RunConfig, network: PopulationNetwork | None, heads: Heads) -> CandidatePolicy:
+def _policy(
+    config: RunConfig,
+    network: PopulationNetwork | None,
+    heads: Heads,
+    normalization: RunningNormalization | None,
+) -> CandidatePolicy:
     assert network is not None  # else the learner has a policy of its own
     learner = config.learner
     exploration = EpsilonGreedy(
@@ -178,12 +200,23 @@ def _policy(config: RunConfig, network: PopulationNetwork | None, heads: Heads) 
         epsilon=getattr(learner, "epsilon", 0.0),
         max_hold_ticks=getattr(learner, "max_hold_ticks", 1),
     )
+    noise = None
+    if getattr(learner, "noise", 0.0) and isinstance(heads, CandidateHeads):
+        noise = ActionNoise(
+            network.shape,
+            heads.actions,
+            seeds=config.seeds,
+            scale=learner.noise,
+            persistence=learner.persistence,
+        )
     return CandidatePolicy(
         network,
         heads,
         exploration,
         double_activation=config.network.double_activation,
         forgets=isinstance(config.world, GymnasiumConfig),
+        noise=noise,
+        normalization=normalization,
     )
 
 

@@ -15,6 +15,7 @@ from neatq_torch.evolution import RtNEATConfig, interval_ticks, population_kinds
 from neatq_torch.genome import ACTIVATIONS
 from neatq_torch.kinds import ConfigError, check_fields
 from neatq_torch.learning import (
+    CriticConfig,
     NoLearningConfig,
     ReplayConfig,
     TableConfig,
@@ -25,6 +26,7 @@ from neatq_torch.learning import (
 from neatq_torch.network import Evaluation
 from neatq_trainers.worlds import ArenaConfig, EnvConfig, GymnasiumConfig, WorldConfig, world_kinds
 
+Normalization = Literal["running"]
 LoggerName = Literal["csv", "tensorboard"]
 Length = Literal["ticks", "steps", "generations"]
 LENGTHS: tuple[Length, ...] = get_args(Length)
@@ -46,11 +48,14 @@ class NetworkConfig:
         candidates: Candidate actions K in a box of actions; with 1 there is nothing to choose and
             no Q-value. Without meaning where there are a few actions to choose from.
         evaluation: settle: forward links within one tick; synchronous: one propagation a tick.
-        activation: Of the outputs of the first genomes. None: sigmoid; but identity where outputs
-            only say which of a few actions is best, so that none of them saturates.
+        activation: Of the outputs of the first genomes. None: sigmoid, where a critic teaches
+            steep_sigmoid; but identity where outputs only say which of a few actions is best, so
+            that none of them saturates.
         double_activation: Activate again with the observation before (published rtNEAT+Q).
         value_range: The Q-values that outputs of 0 and 1 stand for (Whiteson & Stone 2006). None:
             those that the world's rewards allow.
+        normalization: running: networks read observations less their running mean, over their
+            running standard deviation (`RunningNormalization`). None: as the world gives them.
     """
 
     candidates: int = 10
@@ -58,9 +63,11 @@ class NetworkConfig:
     activation: str | None = None
     double_activation: bool = False
     value_range: tuple[float, float] | None = None
+    normalization: Normalization | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, candidates="[1, inf]", evaluation=Evaluation)
+        check_fields(self, normalization=Normalization)
         if self.value_range is not None:
             low, high = self.value_range
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
@@ -71,6 +78,10 @@ class NetworkConfig:
         if self.activation not in (None, *ACTIVATIONS):
             expected = f"one of {', '.join(ACTIVATIONS)} or None"
             raise ConfigError(f"activation: expected {expected}; got {self.activation!r}")
+
+
+_OF_NETWORKS = NoLearningConfig | TDConfig | ReplayConfig | CriticConfig | TraceConfig
+"""Learners that need networks."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,8 +143,10 @@ class RunConfig:
             )
 
     def _check_parts(self) -> None:
+        if self.network.normalization is not None:
+            self._check_normalization()
         if self.population is None:
-            if isinstance(self.learner, NoLearningConfig | TDConfig | ReplayConfig | TraceConfig):
+            if isinstance(self.learner, _OF_NETWORKS):
                 raise ConfigError(
                     f"learner: the arm {self.arm} has no networks that could learn like this; "
                     "choose another arm (qnetwork learns without evolution)"
@@ -163,6 +176,19 @@ class RunConfig:
             raise ConfigError(
                 "lifetime_ticks: expected above 0, got 0; generations need lives that end (the "
                 "arm rtneat does without generations)"
+            )
+
+    def _check_normalization(self) -> None:
+        """What is normalised must be learnt from, exported and shown so."""
+        if not isinstance(self.world, GymnasiumConfig):
+            raise ConfigError(
+                f"network.normalization: expected None on {self.task}; it is for Gymnasium tasks"
+            )
+        if isinstance(self.learner, TDConfig | ReplayConfig | TraceConfig | TableConfig):
+            raise ConfigError(
+                "network.normalization: expected None; the learner "
+                f"{learner_kinds.name_of(self.learner)} reads observations as they come (none and "
+                "critic do not mind)"
             )
 
     @property

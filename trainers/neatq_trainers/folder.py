@@ -208,10 +208,12 @@ class RunFolder:
         }
         schema = self.config.world.schema
         save_checkpoint(self.path / CHECKPOINT, state, observation_schema=schema)
-        if facts is not None:
-            write_atomic(self.path / SCALING, json.dumps(facts.to_dict()) + "\n")
         remembered = [one for part in parts for one in part.champions if one is not None]
         best = max(remembered, key=lambda one: one.score, default=None)  # of equal ones the first
+        if facts is not None:
+            own = best and best.scaling
+            facts = facts if own is None else replace(facts, scaling=own)
+            write_atomic(self.path / SCALING, json.dumps(facts.to_dict()) + "\n")
         champion = parts[0].champion if best is None else best.genome
         if champion is not None:
             save_genome(champion, self.path / CHAMPION)
@@ -226,7 +228,10 @@ class RunFolder:
         return _read_file(path) if path.is_file() else None
 
     def facts(self) -> EnvFacts | None:
-        """What was known of a Gymnasium task before the run; None in other worlds."""
+        """What was known of a Gymnasium task before the run; None in other worlds.
+
+        Where networks read normalised observations the scaling is that of the champion.
+        """
         known = isinstance(self.config.world, GymnasiumConfig)
         return _read_file(self.path / SCALING, EnvFacts.from_dict) if known else None
 

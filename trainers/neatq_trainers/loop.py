@@ -23,6 +23,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from neatq_envs.torchrl_env import RowsEnv
 from neatq_torch.learning import write_back
+from neatq_torch.learning.candidates import NOBODY
 from neatq_trainers.callbacks import Callback
 from neatq_trainers.metrics import Row
 from neatq_trainers.run import Run
@@ -61,6 +62,9 @@ def strides(run: Run, callbacks: Sequence[Callback] = ()) -> Generator[Stride]:
     try:
         for batch in collector:  # 2 act, 3 the world moves: [arenas, slots, ticks]
             run.tick += batch.shape[-1]
+            if run.normalization is not None:
+                living = batch.get("genome_id").squeeze(-1) != NOBODY
+                run.normalization.add(batch.get("observation"), living)
             error = run.learner.update(batch)  # 4 learn
             judge(run, batch)  # 5 judge: fitness and age
             rows += run.metrics.add(run, batch, error)
@@ -89,8 +93,7 @@ def strides(run: Run, callbacks: Sequence[Callback] = ()) -> Generator[Stride]:
 
 def make_collector(run: Run) -> Collector:
     """A collector of batches [arenas, slots, ticks], without end."""
-    own = getattr(run.policy, "exploration", None)
-    explores = own is None or bool(own.epsilon.any())  # else nothing is drawn for it
+    explores = getattr(run.policy, "explores", True)  # else nothing is drawn for it
     chance: Any = ExplorationType.RANDOM if explores else ExplorationType.DETERMINISTIC
     kind = _RowsCollector if isinstance(run.world.env, RowsEnv) else Collector
     return kind(

@@ -10,6 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from neatq_envs.episodes import EVALUATION, episode_seeds
+from neatq_envs.random_play import ObservationScaling
 from neatq_torch.evolution import Population
 from neatq_torch.genome import Genome
 from neatq_trainers.config import RunConfig
@@ -264,6 +265,7 @@ class ReturnMetrics:
             run.heads,
             network.evaluation,
             double_activation=network.double_activation,
+            scalings=[self._scaling(run, arena)] * len(genomes),
         ).mean(1)
         self._crown(run, arena, fittest.tolist(), scores)
         return float(np.nanmax(scores))
@@ -273,8 +275,16 @@ class ReturnMetrics:
         best = max(slots, key=lambda slot: scores[slot])
         before, score = self.champions[arena], float(scores[best])
         if before is None or score >= before.score:
-            generation = run.populations[arena].generations
-            self.champions[arena] = Champion(run.genome(arena, best), score, generation)
+            generation, genome = run.populations[arena].generations, run.genome(arena, best)
+            own = genome, score, generation, self._scaling(run, arena)
+            self.champions[arena] = Champion(*own)
+
+    def _scaling(self, run: Run, arena: int) -> ObservationScaling | None:
+        """By which networks read the world's observations now; None: by that of the world."""
+        own, facts = run.normalization, getattr(run.world, "facts", None)
+        if own is None or facts is None:
+            return None
+        return facts.scaling.then(own.mean[arena].numpy(), own.deviation[arena].numpy())
 
     def steps(self, run: Run) -> int:
         """Steps so far of the arena that has fewest."""
@@ -293,12 +303,20 @@ class ReturnMetrics:
 
 
 def _saved(champions: Sequence[Champion | None]) -> list[State | None]:
-    return [one and {**one._asdict(), "genome": one.genome.to_dict()} for one in champions]
+    return [one and _saved_one(one) for one in champions]
+
+
+def _saved_one(champion: Champion) -> State:
+    scaling = champion.scaling and vars(champion.scaling)
+    return {**champion._asdict(), "genome": champion.genome.to_dict(), "scaling": scaling}
 
 
 def _loaded(saved: Sequence[State | None]) -> list[Champion | None]:
     return [one if one is None else _champion(**one) for one in saved]
 
 
-def _champion(genome: State, score: float, generation: int) -> Champion:
-    return Champion(Genome.from_dict(genome), score, generation)
+def _champion(
+    genome: State, score: float, generation: int, scaling: State | None = None
+) -> Champion:
+    own = None if scaling is None else ObservationScaling(**scaling)
+    return Champion(Genome.from_dict(genome), score, generation, own)

@@ -10,9 +10,16 @@ import numpy as np
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from neatq_envs.random_play import ObservationScaling
 from neatq_torch.evolution import Population, Replacement
 from neatq_torch.genome import Genome
-from neatq_torch.learning import CandidatePolicy, Heads, Learner, LearningGenes
+from neatq_torch.learning import (
+    CandidatePolicy,
+    Heads,
+    Learner,
+    LearningGenes,
+    RunningNormalization,
+)
 from neatq_torch.network import PopulationNetwork
 from neatq_trainers.config import RunConfig
 from neatq_trainers.worlds import World
@@ -54,11 +61,13 @@ class Champion(NamedTuple):
         genome: With the weights that it had at the end of its life.
         score: Mean return, of held-out episodes where there are such.
         generation: In which it lived, from 1.
+        scaling: Of the observations that it read; None: that of the world.
     """
 
     genome: Genome
     score: float
     generation: int
+    scaling: ObservationScaling | None = None
 
 
 class Metrics(Stateful, Protocol):
@@ -98,6 +107,7 @@ class Run:
         network: All networks; None if robots learn in tables.
         populations: The genomes of each arena; empty without evolution.
         genes: How each robot learns and explores; None if all do alike.
+        normalization: Of what networks read; None where it is read as it comes.
         metrics: Watches it.
         tick: Ticks so far.
         replacements: What evolution replaced last, of each arena.
@@ -111,6 +121,7 @@ class Run:
     network: PopulationNetwork | None
     populations: list[Population]
     genes: LearningGenes | None = None
+    normalization: RunningNormalization | None = None
     metrics: Metrics
     tick: int = 0
     replacements: list[list[Replacement]] = field(default_factory=list)
@@ -130,7 +141,7 @@ class Run:
         if self.config.generational:
             self.world.begin(self.generation)
             if isinstance(self.policy, CandidatePolicy):
-                self.policy.exploration.begin([self._chances(seed) for seed in self.config.seeds])
+                self.policy.begin([self._chances(seed) for seed in self.config.seeds])
 
     def _chances(self, seed: int) -> list[int]:
         """The seed of exploration of each slot of an arena, in this generation."""
@@ -163,4 +174,6 @@ class Run:
         }
         if hasattr(self.world.env, "world_state"):
             state["world"] = self.world.env.world_state()
+        if self.normalization is not None:
+            state["normalization"] = self.normalization.state_dict()
         return state if self.genes is None else state | {"genes": self.genes.state_dict()}

@@ -313,6 +313,7 @@ def _test(session: Session, champions: Sequence[Champion | None]) -> None:
         heads_of(config, world),
         config.network.evaluation,
         double_activation=config.network.double_activation,
+        scalings=[one.scaling for one in known],
     )
     world.close()
     arenas = [

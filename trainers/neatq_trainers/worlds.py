@@ -22,7 +22,7 @@ from neatq_envs.episodes import EpisodeError, EpisodeRows, Starts
 from neatq_envs.gymnasium_rows import make_rows
 from neatq_envs.gymnasium_task import PREFIX, GymnasiumTask, TaskError
 from neatq_envs.processes import Remote
-from neatq_envs.random_play import EnvFacts, look_around
+from neatq_envs.random_play import EnvFacts, ObservationScaling, look_around
 from neatq_envs.scenario import TASKS, Scenario
 from neatq_envs.sensors import schema_of
 from neatq_envs.torchrl_env import ArenaEnv
@@ -290,12 +290,15 @@ class GymnasiumWorld(World):
         evaluation: Evaluation,
         *,
         double_activation: bool = False,
+        scalings: Sequence[ObservationScaling | None] = (),
     ) -> np.ndarray:
         """Returns without exploration and learning, in environments of their own.
 
-        Each genome acts in its episodes, which start by `seeds`, int64 [genomes, episodes]. They
-        run side by side; none depends on another. Returns float64 [genomes, episodes].
+        Each genome acts in its episodes, which start by `seeds`, int64 [genomes, episodes], and
+        reads observations by its own of the `scalings`, if it has one. They run side by side; none
+        depends on another. Returns float64 [genomes, episodes].
         """
+        scaling = self._side_by_side(scalings, seeds) if any(scalings) else self.facts.scaling
         flat = [genome for genome in genomes for _ in range(seeds.shape[1])]
         if self._free is None:  # those of the run are in the middle of episodes
             task, renewed = self.config.task, self.facts.renewed
@@ -305,13 +308,21 @@ class GymnasiumWorld(World):
         network = PopulationNetwork(flat, evaluation=evaluation)
         state, previous = network.initial_state(), torch.zeros(len(flat), network.inputs)
         while episodes.living.any():
-            seen = torch.from_numpy(self.facts.scaling(episodes.observation))
+            seen = torch.from_numpy(scaling(episodes.observation))
             output, state = network.step(seen, state)
             if double_activation:
                 state, previous = network.step(previous, state)[1], seen
             episodes.step(heads.best(output).numpy())
             episodes.go_on(episodes.terminated | episodes.truncated)
         return episodes.returns.reshape(seeds.shape)
+
+    def _side_by_side(
+        self, scalings: Sequence[ObservationScaling | None], seeds: np.ndarray
+    ) -> ObservationScaling:
+        """Of the episodes of all genomes [genomes x episodes, inputs]."""
+        own = [one or self.facts.scaling for one in scalings]
+        columns = (np.stack([getattr(one, name) for one in own]) for name in ("offset", "scale"))
+        return ObservationScaling(*(np.repeat(one, seeds.shape[1], axis=0) for one in columns))
 
 
 class EnvWorld(World):
