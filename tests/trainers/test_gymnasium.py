@@ -87,6 +87,24 @@ def test_a_run_is_as_long_as_its_steps(neatq: Say, toy: str, arm: str) -> None:
     assert 1000 <= lengths(arm)["steps"] < 1500
 
 
+def test_a_bar_counts_steps_within_generations(
+    tiny_walk: Tiny,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr("neatq_trainers.callbacks.BAR_SECONDS", 0)
+    run = start(tiny_walk("neat", steps=500), tmp_path / "run")
+    bar = capsys.readouterr().err
+    shown = [int(done) for done in re.findall(r"(\d+)/\d+ \[", bar)]
+    by_generation = run.metrics()["steps"].astype(int).tolist()
+    assert shown == sorted(shown)
+    assert {*shown} - {0, *by_generation}
+    assert f"100%|██████████| {by_generation[-1]}/{by_generation[-1]} [" in bar.splitlines()[-1]
+    assert re.search(r"steps/s, best [-\d.]+, champion [-\d.]+\]", bar)
+
+
 def test_arguments_of_the_environment_reach_it(neatq: Say, toy: str) -> None:
     task = ["--task", f"{toy}Spaces-v0", "--env-kwargs", "acts=matrix", "max_episode_steps=3"]
     for arm, outputs in (("neat", 6), ("neat+q", 3 * 6 + 3)):
@@ -236,7 +254,26 @@ def test_the_curves_show_champion_best_and_mean(done: Path) -> None:
     labels = [line.get_label() for line in axes.get_lines()]
     assert len(labels) == 3
     (champion,) = (line for line in axes.get_lines() if "champion" in str(line.get_label()))
-    assert np.asarray(champion.get_xdata()).tolist() == [16, 32, 48, 64]
+    steps = load_run(done).metrics()["steps"].tolist()
+    assert len(steps) == 4
+    assert np.asarray(champion.get_xdata()).tolist() == steps
+    assert axes.get_xlabel() == "steps of all in an arena"
+
+
+def test_the_curves_of_several_arenas_are_means_at_the_same_steps() -> None:
+    """Arena 0 has rows at 10, 20 and 40 steps, arena 1 at 15 and 30."""
+    columns = {
+        "arena": [0, 1, 0, 1, 0],
+        "steps": [10, 15, 20, 30, 40],
+        "mean_fitness": [1, 2, 3, 4, 5],
+        "best_fitness": [1, 2, 3, 4, 5],
+        "champion_return": [10, 0, 20, 2, 30],
+    }
+    metrics = {name: np.array(values, float) for name, values in columns.items()}
+    (axes,) = draw_curves(metrics, "title").axes
+    (champion,) = (line for line in axes.get_lines() if "champion" in str(line.get_label()))
+    assert np.asarray(champion.get_xdata()).tolist() == [15, 20, 30]
+    assert np.asarray(champion.get_ydata()).tolist() == [5, 10, 11]
 
 
 def test_a_report_without_pygame_leaves_the_animation_out(

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 LOGS = "logs"
 """The folder of loggers in a run folder."""
+BAR_SECONDS = 0.5
+"""Least time between two looks of the progress bar."""
 
 
 class Callback:
@@ -96,27 +98,45 @@ def _log(logger: Logger, rows: Sequence[Row]) -> None:
 
 
 class ProgressBar(Callback):
-    """A live line on a terminal: what is done, rate, remaining time, a few words."""
+    """A live line on a terminal: what is done, rate, remaining time, a few words.
+
+    Steps are counted within generations, too, where all arenas are trained in this process.
+    """
+
+    _bar: tqdm | None = None  # copies in other processes have none
 
     def start(self, session: Session) -> None:
         """Show where the run stands."""
         unit, total = session.config.length
+        self._unit = unit
         self._bar = tqdm(
             total=total,
             initial=session.done,
             unit=f" {unit}",
-            mininterval=0.5,
+            mininterval=BAR_SECONDS,
             dynamic_ncols=True,
             disable=not _watched(),
         )
 
+    def batch(self, run: Run, batch: TensorDictBase, error: Tensor) -> None:
+        """Move on by the steps of a batch."""
+        if self._bar is not None and self._unit == "steps":
+            self._move(run.metrics.steps(run))
+
     def rows(self, session: Session, rows: Sequence[Row]) -> None:
         """Move on."""
+        if self._bar is None:
+            return
         if rows:
             self._bar.set_postfix_str(words(rows), refresh=False)
-        self._bar.update(session.done - self._bar.n)
-        if session.done >= self._bar.total:
+        self._move(session.done)
+        if session.over:
             self._bar.close()
+
+    def _move(self, done: int) -> None:
+        assert self._bar is not None
+        self._bar.total = max(self._bar.total, done)  # a generation is lived to its end
+        self._bar.update(done - self._bar.n)
 
 
 def _watched() -> bool:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 import tyro
@@ -145,6 +145,9 @@ class ResumeCommand:
     """Another length for a run on a Gymnasium task."""
     generations: int | None = None
     """Another length for a run on a Gymnasium task."""
+    until: float | None = None
+    """Another return of the champion that ends a run on a Gymnasium task; without it the run's own
+    counts on, but a run that has reached its own goes on, without one, to another length."""
     workers: int | None = None
     """Processes among which Gymnasium environments are dealt; default: those that fit this machine.
     Arenas stay with as many processes as the run was begun with."""
@@ -153,9 +156,9 @@ class ResumeCommand:
 def resume_command(arguments: list[str]) -> None:
     """`neatq resume`."""
     command = parse(ResumeCommand, "resume", arguments)
-    length = {name: getattr(command, name) for name in LENGTHS}
+    end: Any = {name: getattr(command, name) for name in (*LENGTHS, "until")}
     with _saying_how_to_go_on(command.folder, Path.cwd()):
-        _say(trainer.resume(command.folder, **length, workers=command.workers), command.folder)
+        _say(trainer.resume(command.folder, **end, workers=command.workers), command.folder)
 
 
 def list_command(arguments: list[str]) -> None:

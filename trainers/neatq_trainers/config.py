@@ -95,6 +95,8 @@ class RunConfig:
             in which they are reached.
         steps: Length on a Gymnasium task: steps of all genomes of an arena together.
         generations: Length on a Gymnasium task.
+        until: On a Gymnasium task: the run also ends, as solved, when the champion of an arena has
+            this mean return of its held-out episodes.
         arenas: Independent populations side by side; arena i is the run with seed + i.
         seed: Of arena 0.
         batch_ticks: Ticks between two updates; evolution replaces genomes between batches. None:
@@ -112,6 +114,7 @@ class RunConfig:
     ticks: int | None = None
     steps: int | None = None
     generations: int | None = None
+    until: float | None = None
     arenas: int = 1
     seed: int = 0
     batch_ticks: int | None = None
@@ -127,6 +130,7 @@ class RunConfig:
         check_fields(self, **dict.fromkeys(positive, "[1, inf]"), seed="[0, inf]")
         check_fields(self, checkpoint_seconds="[0, inf]")
         self._check_length()
+        self._check_until()
         self._check_parts()
 
     def _check_length(self) -> None:
@@ -140,6 +144,14 @@ class RunConfig:
         if len(given) != 1:
             raise ConfigError(
                 f"expected one length, {' or '.join(allowed)}; got {' and '.join(given) or 'none'}"
+            )
+
+    def _check_until(self) -> None:
+        check_fields(self, until="(-inf, inf)")
+        if self.until is not None and not isinstance(self.world, GymnasiumConfig):
+            raise ConfigError(
+                f"until: nobody is evaluated on held-out episodes on {self.task}; it is for "
+                "Gymnasium tasks, such as gym:CartPole-v1"
             )
 
     def _check_parts(self) -> None:
@@ -195,6 +207,10 @@ class RunConfig:
     def length(self) -> tuple[Length, int]:
         """The unit of the run's length, and how many of them."""
         return next((name, value) for name in LENGTHS if (value := getattr(self, name)))
+
+    def solved_by(self, score: float) -> bool:
+        """Whether a champion of such a return solves the task, so that the run is over."""
+        return self.until is not None and score >= self.until
 
     @property
     def learns(self) -> bool:
@@ -293,13 +309,13 @@ class RunConfig:
             ConfigError: Naming the field that is missing, of a wrong type or out of range.
         """
         try:
-            parts = dict(values)
+            parts = {"until": None, **values}  # which 0.2.0 did not know
             for name, kinds in _KINDS.items():
                 if parts[name] is not None:
                     own = dict(parts[name])
                     parts[name] = _read(kinds.config(own.pop("kind")), own, name)
             parts["network"] = _read(NetworkConfig, parts["network"], "network")
-            scalars = {key: parts[key] for key in values if key not in ("network", *_KINDS)}
+            scalars = {key: parts[key] for key in parts if key not in ("network", *_KINDS)}
             unknown = scalars.keys() - {one.name for one in fields(RunConfig)}
             if unknown:
                 raise ConfigError(f"configuration: unknown {', '.join(sorted(unknown))}")

@@ -8,7 +8,7 @@ import os
 import shlex
 import zlib
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,7 @@ from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.lock import HOLDER, LOCK, RunFolderError
 from neatq_trainers.metrics import DistanceRow, ReturnRow, Row, csv_line, header, row_kind
 from neatq_trainers.run import State
-from neatq_trainers.saved import check_saved
+from neatq_trainers.saved import best_score, check_saved
 from neatq_trainers.workers import Snapshot
 from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig
 
@@ -98,10 +98,12 @@ class RunFolder:
         for temporary in leftovers(self.path, _WRITTEN):
             temporary.unlink(missing_ok=True)
 
-    def load(self, **length: int | None) -> State:
+    def load(self, until: float | None = None, **length: int | None) -> State:
         """What the checkpoint holds; the folder's other files are cut back to that moment.
 
         Args:
+            until: Another return that ends it, see `RunConfig`. A return that the run has reached
+                counts no more where only a length is given.
             length: Another length for the run, in a unit of its world.
 
         Returns:
@@ -113,7 +115,7 @@ class RunFolder:
                 folder's other files.
         """
         state = self.read()
-        config = self._with_length(**length)
+        config = self._changed(state, until, length)
         for unit, value in length.items():
             if value is not None and value < state["done"][unit]:
                 raise RunFolderError(
@@ -128,14 +130,22 @@ class RunFolder:
         self.track = deque([state["track"]] if state["track"].size else [])
         return state
 
-    def is_finished(self, **length: int | None) -> bool:
-        """Whether the run is as long as it shall be, as far as its checkpoint tells."""
-        unit, total = self._with_length(**length).length
-        return self.read()["done"][unit] >= total
+    def is_finished(self, until: float | None = None, **length: int | None) -> bool:
+        """Whether the run is as long as it shall be, or solved, as far as its checkpoint tells."""
+        state = self.read()
+        config = self._changed(state, until, length)
+        unit, total = config.length
+        return state["done"][unit] >= total or config.solved_by(best_score(state))
 
-    def _with_length(self, **length: int | None) -> RunConfig:
+    def _changed(
+        self, state: State, until: float | None, length: Mapping[str, int | None]
+    ) -> RunConfig:
+        """The configuration with another end."""
         given = {unit: value for unit, value in length.items() if value is not None}
-        return replace(self.config, **dict.fromkeys(LENGTHS) | given) if given else self.config
+        changes: dict[str, Any] = dict.fromkeys(LENGTHS) | given if given else {}
+        if until is not None or (given and self.config.solved_by(best_score(state))):
+            changes["until"] = until
+        return replace(self.config, **changes)
 
     def read(self) -> State:
         """What the checkpoint holds; nothing in the folder changes."""
@@ -147,8 +157,8 @@ class RunFolder:
                 f"{self.path / CHECKPOINT}: not a run of this version of neatq ({error})"
             ) from error
         check_saved(self.path / CHECKPOINT, state, self.config)
-        length = {name: getattr(self.config, name) for name in LENGTHS}
-        if replace(made_with, **length) != self.config:
+        end = {name: getattr(self.config, name) for name in (*LENGTHS, "until")}
+        if replace(made_with, **end) != self.config:
             raise CheckpointError(
                 f"{self.path / CONFIG}: not the configuration that the run was made with; restore "
                 "the file, or begin a new run with another --out"
@@ -226,6 +236,17 @@ class RunFolder:
         """What the test of the champions returned; None where there was none."""
         path = self.path / RESULT
         return _read_file(path) if path.is_file() else None
+
+    def solved(self) -> str:
+        """In words, after how many steps a run `until` a return was solved; "" where it was not."""
+        result = self.result() or {}
+        if "solved_after_steps" not in result:
+            return ""
+        best = result["champion"]
+        return (
+            f"after {result['solved_after_steps']} steps: the champion of arena {best['arena']} "
+            f"was evaluated to {best['evaluated_return']:g}, wanted {result['until']:g}"
+        )
 
     def facts(self) -> EnvFacts | None:
         """What was known of a Gymnasium task before the run; None in other worlds.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -13,8 +14,9 @@ import torch
 import tyro
 
 from neatq_envs.processes import usable_cores
+from neatq_torch.checkpoint import CheckpointError
 from neatq_trainers.commands import parse
-from neatq_trainers.folder import CONFIG
+from neatq_trainers.folder import CONFIG, load_run
 from neatq_trainers.lock import RunFolderError
 
 INFO_PACKAGES = (
@@ -55,6 +57,8 @@ def info_command(arguments: list[str]) -> None:
             lines[CONFIG] = "\n" + (folder / CONFIG).read_text("utf-8", "replace").rstrip()
         except (FileNotFoundError, NotADirectoryError) as error:
             raise RunFolderError(f"{folder}: no run folder; there is no {CONFIG} in it") from error
+        with suppress(RunFolderError, CheckpointError, LookupError, TypeError, ValueError):
+            lines |= {"solved": solved} if (solved := load_run(folder).solved()) else {}
     for name, value in lines.items():
         print(f"{name}: {value}")
 

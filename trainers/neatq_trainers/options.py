@@ -59,7 +59,9 @@ def options_of(default: RunConfig, given: Sequence[str]) -> type:
     columns: list[Any] = [
         (name, int | None, field(default=getattr(default, name))) for name in default.world.lengths
     ]
-    columns += [(name, types[name], field(default=getattr(default, name))) for name in _SCALARS]
+    evaluated = isinstance(default.world, GymnasiumConfig) or "until" in given
+    scalars = ("until", *_SCALARS) if evaluated else _SCALARS
+    columns += [(name, types[name], field(default=getattr(default, name))) for name in scalars]
     for part in PARTS:
         own = getattr(default, part)
         shown = part != "world" or isinstance(own, GymnasiumConfig)

@@ -106,7 +106,8 @@ def draw_curves(metrics: Columns, title: str, *, one_by_one: bool = True) -> Fig
 
     In the arena: least and mean distance to the flag over time, as Robertson & Wu (2014) drew them,
     and the means of the robots that are old enough to be judged and of the others, in whose
-    distance an offspring shows what it is worth at birth. Elsewhere: return over episodes.
+    distance an offspring shows what it is worth at birth. Elsewhere: return over steps, as far as
+    the arena with the fewest has come.
 
     With several arenas the lines are means over arenas, the bands cover all of them.
 
@@ -120,13 +121,15 @@ def draw_curves(metrics: Columns, title: str, *, one_by_one: bool = True) -> Fig
     axes = figure.add_subplot()
     arenas = len(np.unique(metrics["arena"]))
     distances = "min_distance" in metrics
-    when = metrics["tick"] / ROW_TICKS if distances else metrics["episodes"]
+    if not distances and arenas > 1:
+        metrics = _at_the_same_steps(metrics)
+    when = metrics["tick"] / ROW_TICKS if distances else metrics["steps"]
     shown = _DISTANCES if one_by_one else _DISTANCES[:2]
     for name, colour, label in shown if distances else _RETURNS:
         if not np.isnan(metrics[name]).all():
             _draw_curve(axes, when, metrics[name], colour, label)
     axes.set_xlabel(
-        f"figure tick ({ROW_TICKS} simulation ticks)" if distances else "episodes lived in an arena"
+        f"figure tick ({ROW_TICKS} simulation ticks)" if distances else "steps of all in an arena"
     )
     axes.set_ylabel("distance to the flag (units)" if distances else "return of an episode")
     title = title if arenas == 1 else f"{title}: mean and range of {arenas} arenas"
@@ -137,6 +140,18 @@ def draw_curves(metrics: Columns, title: str, *, one_by_one: bool = True) -> Fig
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
     return figure
+
+
+def _at_the_same_steps(metrics: Columns) -> Columns:
+    """Rows of all arenas at the steps at which any has one, each with what was known by then."""
+    arena, steps = metrics["arena"], metrics["steps"]
+    rows = [np.flatnonzero(arena == one) for one in np.unique(arena)]
+    first, last = max(steps[own[0]] for own in rows), min(steps[own[-1]] for own in rows)
+    moments = np.unique(steps)
+    moments = moments[(moments >= first) & (moments <= max(first, last))]
+    latest = [own[np.searchsorted(steps[own], moments, "right") - 1] for own in rows]
+    found = {name: column[np.concatenate(latest)] for name, column in metrics.items()}
+    return found | {"steps": np.tile(moments, len(rows))}
 
 
 def _draw_curve(axes: Axes, when: np.ndarray, column: np.ndarray, colour: str, label: str) -> None:

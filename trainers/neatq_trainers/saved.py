@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,6 +49,17 @@ def check_saved(path: Path, state: State, config: RunConfig) -> None:
             raise ValueError(f"{len(runs)} runs, track {track.dtype} {track.shape}")
         if state["facts"] is not None:
             EnvFacts.from_dict(state["facts"])
+
+
+def best_score(state: State) -> float:
+    """The best return of a champion in the checkpoint of a run; -inf before any was evaluated.
+
+    Raises:
+        CheckpointError: If the checkpoint is damaged.
+    """
+    with restoring():
+        known = [one for run in state["runs"] for one in run["metrics"]["champions"]]
+        return max((float(one["score"]) for one in known if one is not None), default=-math.inf)
 
 
 def _plain(value: Any) -> Any:

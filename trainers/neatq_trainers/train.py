@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -30,9 +31,10 @@ from neatq_trainers.effects import refuse_without_effect
 from neatq_trainers.folder import RunFolder, check_new, load_run
 from neatq_trainers.lock import RunFolderError, locked
 from neatq_trainers.loop import Stride
-from neatq_trainers.metrics import Row
+from neatq_trainers.metrics import ReturnRow, Row
 from neatq_trainers.names import file_name
 from neatq_trainers.run import Champion
+from neatq_trainers.saved import best_score
 from neatq_trainers.signals import ending_by_signals, noting_signals, raise_for
 from neatq_trainers.workers import Worker, fitting_workers, open_workers
 from neatq_trainers.worlds import GymnasiumConfig, GymnasiumWorld, facts_of, make_world
@@ -51,6 +53,7 @@ class Session:
         folder: Where the results go.
         facts: Of a Gymnasium task.
         lengths: How long the run is so far, by unit.
+        score: The best return of a champion in its evaluation.
         stop: Set it to end the training in order; `resume` goes on.
         wants_checkpoint: Set it to have a checkpoint written soon.
     """
@@ -59,6 +62,7 @@ class Session:
     folder: RunFolder
     facts: EnvFacts | None
     lengths: dict[str, int] = field(default_factory=lambda: dict.fromkeys(LENGTHS, 0))
+    score: float = -math.inf
     stop: bool = False
     wants_checkpoint: bool = False
 
@@ -66,6 +70,11 @@ class Session:
     def done(self) -> int:
         """How long the run is so far, in the unit of its length."""
         return self.lengths[self.config.length[0]]
+
+    @property
+    def over(self) -> bool:
+        """Whether the run has its length, or is solved."""
+        return self.done >= self.config.length[1] or self.config.solved_by(self.score)
 
 
 def train(  # noqa: PLR0913  (each is a setting of a run)
@@ -79,6 +88,7 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
     ticks: int | None = None,
     steps: int | None = None,
     generations: int | None = None,
+    until: float | None = None,
     arenas: int = 1,
     seed: int = 0,
     out: Path | str | None = None,
@@ -92,14 +102,13 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
             environment, or the name of a registered world.
         arm: The preset of population, learner and network; see `ARMS`.
         env_kwargs: Keys of the scenario, or arguments of the environment, with other values.
-        population: Another kind of population than the arm's: "rtneat", "neat", "fixed" or one
-            that was registered.
-        learner: Another kind of learner: "none", "td", "replay", "traces", "table" or one that was
-            registered.
+        population: Another kind of population: "rtneat", "neat", "fixed" or a registered one.
+        learner: Another kind: "none", "td", "replay", "traces", "table" or a registered one.
         settings: Other values by dotted path, such as {"learner.epsilon": 0.05}.
         ticks: Length in a world of robots.
         steps: Length on a Gymnasium task, in environment steps of all genomes of an arena.
         generations: Length on a Gymnasium task.
+        until: On a Gymnasium task: held-out return with which the best arena's champion ends it.
         arenas: Independent populations side by side; arena i is the run with seed + i.
         seed: Of arena 0. The same seed gives the same run.
         out: The run folder; new or empty. Default: runs/TASK-ARM-seedSEED.
@@ -125,7 +134,7 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
     config = preset(
         task, arm, env_kwargs=env_kwargs, population=population, learner=learner, length=length
     )
-    config = config.changed({"arenas": arenas, "seed": seed, **(settings or {})})
+    config = config.changed({"until": until, "arenas": arenas, "seed": seed, **(settings or {})})
     refuse_without_effect(config, settings or {})
     return start(config, out, workers=workers, callbacks=callbacks)
 
@@ -169,6 +178,7 @@ def resume(
     ticks: int | None = None,
     steps: int | None = None,
     generations: int | None = None,
+    until: float | None = None,
     workers: int | None = None,
     callbacks: Sequence[Callback] = (),
 ) -> RunFolder:
@@ -179,6 +189,8 @@ def resume(
         ticks: Another length, as in `train`.
         steps: Another length.
         generations: Another length.
+        until: Another return that ends it, as in `train`; without it the run's own counts on. A run
+            that has reached its own goes on, without one, to another length.
         workers: Processes among which Gymnasium environments are dealt; arenas stay with as many
             processes as the run was begun with.
         callbacks: Called while it trains.
@@ -192,27 +204,29 @@ def resume(
         >>> resume("runs/wall-neatq-seed0", ticks=100_000)
     """
     path = Path(path).absolute()  # an environment may change the working directory
-    folder, length = load_run(path), {"ticks": ticks, "steps": steps, "generations": generations}
+    folder = load_run(path)
+    end: Any = {"ticks": ticks, "steps": steps, "generations": generations, "until": until}
     with ending_by_signals(), ExitStack() as stack:
         try:
             stack.enter_context(locked(folder.path))
         except OSError as error:
-            return _read_only(folder, length, error)
+            return _read_only(folder, end, error)
         folder = load_run(path)  # as whoever trained in it has left it
         folder.remove_leftovers()
-        state, config = folder.load(**length), folder.config
+        state, config = folder.load(**end), folder.config
         states, parts = state["runs"], config.split(len(state["runs"]))
         facts = None if state["facts"] is None else EnvFacts.from_dict(state["facts"])
         everybody, count = [kind() for kind in BUILT_IN] + [*callbacks], _checked(workers, config)
         team = stack.enter_context(open_workers(parts, states, facts, everybody, count))
         session = Session(config=config, folder=folder, facts=facts, lengths=state["done"])
+        session.score = best_score(state) if config.until is not None else -math.inf
         _train(session, team, everybody)
     return folder
 
 
-def _read_only(folder: RunFolder, length: Mapping[str, int | None], error: OSError) -> RunFolder:
+def _read_only(folder: RunFolder, end: Mapping[str, Any], error: OSError) -> RunFolder:
     """A run that is finished needs no folder that can be written."""
-    if not folder.is_finished(**length):
+    if not folder.is_finished(**end):
         raise RunFolderError(
             f"{folder.path}: cannot be written ({error.strerror}), and its run is not finished; "
             "copy the folder to where you may write, and resume it there"
@@ -242,7 +256,7 @@ def _checked(workers: int | None, config: RunConfig) -> int:
 
 
 def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Callback]) -> None:
-    """Train until the run has its length, or until somebody stops it.
+    """Train until the run has its length or is solved, or until somebody stops it.
 
     Raises:
         KeyboardInterrupt: If Ctrl-C stopped it; what it has so far is in the folder.
@@ -258,7 +272,8 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
     with noting_signals() as signals:
         while True:
             pausing = session.stop or signals or (session.wants_checkpoint and unsaved)
-            if not pausing and under_way < ahead and session.done + under_way * stride < total:
+            wanted = not session.over and session.done + under_way * stride < total
+            if wanted and not pausing and under_way < ahead:
                 for worker in workers:
                     worker.begin()
                 under_way += 1
@@ -271,9 +286,9 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
                 session.wants_checkpoint = unsaved = False
                 for callback in callbacks:
                     callback.checkpoint(session)
-                if session.stop or signals or session.done >= total:
+                if session.stop or signals or session.over:
                     break
-    if session.done < total and signals:
+    if signals and not session.over:
         raise_for(signals[0])
     _test(session, [one for part in snapshots for one in part.champions])
     for callback in callbacks:
@@ -291,6 +306,8 @@ def _take(session: Session, came: Sequence[Stride], callbacks: Sequence[Callback
         for row in stride.rows
     ]
     rows.sort(key=lambda row: (row[1], row.arena))
+    scores = (row.champion_return for row in rows if isinstance(row, ReturnRow))
+    session.score = max([session.score, *scores])
     for callback in callbacks:
         callback.rows(session, rows)
 
@@ -335,9 +352,21 @@ def _test(session: Session, champions: Sequence[Champion | None]) -> None:
             "champion": arenas[best],
             "arenas": arenas,
             "repeatable": facts.repeatable,
+            **_solved(session, best, known[best]),
         }
     )
+    if solved := session.folder.solved():
+        session.folder.notes.append(f"solved {solved}")
     session.folder.notes.append(_said(arenas[best], arenas))
+
+
+def _solved(session: Session, arena: int, champion: Champion) -> dict[str, float]:
+    """By which return and after how many steps the best champion solved the task, if it did."""
+    until, rows = session.config.until, session.folder.metrics()
+    if until is None or champion.score < until:
+        return {}
+    crowned = (rows["arena"] == arena) & (rows["generation"] == champion.generation)
+    return {"until": until, "solved_after_steps": int(rows["steps"][crowned][0])}
 
 
 def _said(best: Mapping[str, Any], arenas: Sequence[Mapping[str, Any]]) -> str:

@@ -45,7 +45,7 @@ QUICK_TENTH = 10
 """With `--quick` only the first tenth of a run is made."""
 STEPS = 500_000
 """Length of a run on a Gymnasium task: the same for arms that differ in what a generation is."""
-_ANY = ("task", "arm", *LENGTHS, "arenas", "seed", "checkpoint_seconds", "logger")
+_ANY = ("task", "arm", *LENGTHS, "until", "arenas", "seed", "checkpoint_seconds", "logger")
 _COLUMNS = {
     "team": "mean_distance",
     "eligible": "eligible_mean_distance",
@@ -84,9 +84,9 @@ def digest(config: RunConfig) -> str:
     """Twelve digits that are the same for all runs which differ in seed and length alone.
 
     They are the beginning of the SHA-256 of the configuration as JSON with sorted keys, without
-    the names of task and arm (what these stand for is in the other fields), length, arenas, seed,
-    checkpoint_seconds and logger. Nor does None count, with which a setting is switched off: so a
-    later version's settings leave the digests of runs without them as they are.
+    the names of task and arm (what these stand for is in the other fields), length, until, arenas,
+    seed, checkpoint_seconds and logger. Nor does None count, with which a setting is switched off:
+    so a later version's settings leave the digests of runs without them as they are.
     """
     values = RunConfig.from_dict(config.to_dict()).to_dict()  # 1 and 1.0 are the same number
     kept = _without_none({name: value for name, value in values.items() if name not in _ANY})
