@@ -46,7 +46,8 @@ class TableLearner(Learner):
     Its rewards were those of the place where an action began, not where it led, so the reward of
     each tick is used one tick later here. They were negative, so that entries never visited, which
     are 0, look best: the environment's rewards in [0, 1] are moved to [-1, 0]. Each robot has a
-    table, which survives the end of a life. With batches of one tick the update is on-line.
+    table, which survives the end of a life; nothing follows a life that is terminated. With batches
+    of one tick the update is on-line.
 
     Args:
         shape: (arenas, robots).
@@ -103,7 +104,9 @@ class TableLearner(Learner):
             now = self.rows(batch.get("observation")[:, :, tick].numpy())
             following = self.rows(batch.get(("next", "observation"))[:, :, tick].numpy())
             action = self.index(batch.get("action")[:, :, tick].numpy()).ravel()
-            target = self._reward.ravel() + config.discount * self.values[following].max(-1)
+            over = batch.get(("next", "terminated"))[:, :, tick].numpy().ravel()
+            best = np.where(over, 0.0, self.values[following].max(-1))
+            target = self._reward.ravel() + config.discount * best
             error = target - self.values[now, action]
             self.values[now, action] += config.learning_rate * error
             errors.append(error**2)

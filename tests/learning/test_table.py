@@ -18,6 +18,7 @@ def table(robots: int = 1, config: TableConfig | None = None) -> TableLearner:
 def transition(now: float, following: float, action: list[float], reward: float) -> TensorDict:
     next_ = {"observation": torch.full((1, 1, 1, 2), following)}
     next_["reward"] = torch.full((1, 1, 1, 1), reward)
+    next_["terminated"] = torch.zeros(1, 1, 1, 1, dtype=torch.bool)
     observation = torch.full((1, 1, 1, 2), now)
     action_ = torch.tensor(action).view(1, 1, 1, 2)
     values = {"observation": observation, "action": action_, "next": next_}
