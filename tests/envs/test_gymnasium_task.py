@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from typing import Any
 
 import gymnasium
@@ -77,6 +79,19 @@ def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gymnasium, "make", missing)
     assert 'pip install "gymnasium[box2d]"' in refusal("LunarLander-v3")
     assert "Box2D is not installed" in refusal("CartPole-v1")
+
+
+@pytest.mark.parametrize("task", ["Hopper-v5", "HalfCheetah-v5"])
+def test_a_missing_mujoco_is_named(task: str) -> None:
+    """In a process of its own: what is imported stays imported."""
+    code = (
+        "import sys; sys.modules['mujoco'] = None\n"
+        "from neatq_envs.gymnasium_task import GymnasiumTask\n"
+        f"GymnasiumTask(id={task!r}).make()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    wanted = f'TaskError: task: {task} needs what pip install "gymnasium[mujoco]" brings (MuJoCo is'
+    assert wanted in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ from neatq_trainers.folder import (
 )
 from neatq_trainers.policy import make_policy
 from neatq_trainers.report import draw_curves, write_report
-from neatq_trainers.train import start, train
+from neatq_trainers.train import resume, start, train
 
 Say = Callable[..., tuple[int, str, str]]
 Tiny = Callable[..., RunConfig]
@@ -240,6 +240,25 @@ def test_neat_learns_cart_pole_in_a_few_generations(tmp_path: Path) -> None:
     result = run.result()
     assert result is not None
     assert (result["champion"]["mean"], result["champion"]["standard_error"]) == (500, 0)
+
+
+@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("task", ["Hopper-v5", "HalfCheetah-v5"])
+def test_a_run_of_mujoco_goes_on_as_if_it_had_not_stopped(
+    task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("mujoco")
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes MUJOCO_LOG.TXT where it is
+    few = {"population.episodes": 1, "world.slots": 4, "world.evaluated": 1}
+    few |= {"world.episodes": 1, "world.test_episodes": 1}
+    short = {"max_episode_steps": 20}
+    config = preset(f"gym:{task}", "neat", env_kwargs=short, length={"steps": 150}).changed(few)
+    whole = start(config, tmp_path / "whole")
+    begun = start(config.changed({"steps": 10}), tmp_path / "run")
+    run = resume(begun.path, steps=150, workers=1)
+    assert run.metrics()["steps"][-1] >= 150 > begun.metrics()["steps"][0]
+    assert (run.path / METRICS).read_text() == (whole.path / METRICS).read_text()
 
 
 def test_q_values_of_random_play_have_a_range_by_hand(toy: str) -> None:
