@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
 from itertools import pairwise
 
 import torch
@@ -35,21 +34,26 @@ class TwinCritic(nn.Module):
 
     def forward(self, rows: Tensor) -> Tensor:
         """Q-values [2, rows, outputs] of rows [rows, inputs]."""
-        layers = zip(self.weights, self.biases, strict=True)
-        return _perceptron(torch.baddbmm, rows.expand(2, *rows.shape), layers)
+        rows = rows.expand(2, *rows.shape)
+        *hidden, (weight, bias) = zip(self.weights, self.biases, strict=True)
+        for one, constant in hidden:
+            rows = torch.relu(torch.baddbmm(constant, rows, one))
+        return torch.baddbmm(bias, rows, weight)
 
-    def first(self, rows: Tensor) -> Tensor:
-        """Q-values [rows, outputs] by the first of the two."""
-        layers = zip(self.weights, self.biases, strict=True)
-        return _perceptron(torch.addmm, rows, ((weight[0], bias[0]) for weight, bias in layers))
+    @torch.no_grad()
+    def slope(self, rows: Tensor) -> Tensor:
+        """Of the first one's only output, by what it reads: dQ1 / drows [rows, inputs].
 
-
-def _perceptron(
-    times: Callable[[Tensor, Tensor, Tensor], Tensor],
-    rows: Tensor,
-    layers: Iterable[tuple[Tensor, Tensor]],
-) -> Tensor:
-    *hidden, (weight, bias) = layers
-    for one, constant in hidden:
-        rows = torch.relu(times(constant, rows, one))
-    return times(bias, rows, weight)
+        In place of autograd, which takes three times as long for as few rows as a network learns
+        from at once.
+        """
+        weights = [weight[0] for weight in self.weights]
+        *hidden, _ = zip(weights, self.biases, strict=True)
+        active = []
+        for weight, bias in hidden:
+            rows = torch.relu_(torch.addmm(bias[0], rows, weight))
+            active.append(rows > 0)
+        slope = weights[-1].T.expand_as(rows)
+        for weight, on in zip(reversed(weights[:-1]), reversed(active), strict=True):
+            slope = (slope * on) @ weight.T
+        return slope

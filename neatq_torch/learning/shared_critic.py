@@ -193,25 +193,28 @@ class SharedCritic:
         action = (action + noise.clamp(-SMOOTHING_LIMIT, SMOOTHING_LIMIT)).clamp(-1, 1)
         return self.target(torch.cat([observation, action], -1)).amin(0)
 
-    def loss(self, observation: Tensor, outputs: Tensor) -> Tensor:
-        """What networks should make smaller: less what their actions are worth, summed over them.
+    @torch.no_grad()
+    def lesson(self, observation: Tensor, outputs: Tensor) -> Tensor:
+        """By what networks should change their outputs: the gradient of a loss [.., outputs].
 
-        That is -Q1(s, a) for the action in a box. Where there are a few actions an output is how
-        much the network is inclined to each, and the loss -sum_a softmax(outputs)_a Q(s, a).
+        The loss of a network is the mean over rows of -Q1(s, a) for its action in a box. Where
+        there are a few actions an output is how much it is inclined to each, and the loss
+        -sum_a softmax(outputs)_a Q(s, a).
 
         Args:
             observation: As networks read it [rows, inputs].
             outputs: Of some networks for it [networks, rows, outputs].
         """
+        rows = len(observation)
         if not isinstance(self.heads, CandidateHeads):
-            with torch.no_grad():
-                worth = self.critic(observation).mean(0)
-            return -(torch.softmax(outputs, -1) * worth).sum() / len(observation)
-        action = self.unit(self.heads.best(outputs))
-        seen = observation.expand(*action.shape[:-1], -1)
-        return -self.critic.first(torch.cat([seen, action], -1).flatten(0, 1)).sum() / len(
-            observation
-        )
+            worth, inclined = self.critic(observation).mean(0), torch.softmax(outputs, -1)
+            mean = (inclined * worth).sum(-1, keepdim=True)
+            return inclined * (mean - worth) / rows
+        inside = outputs.clamp(0, 1)
+        seen = observation.expand(*outputs.shape[:-1], -1)
+        slope = self.critic.slope(torch.cat([seen, 2 * inside - 1], -1).flatten(0, 1))
+        slope = slope[:, observation.shape[-1] :].view(outputs.shape)
+        return (-2 / rows) * slope * (outputs == inside)
 
     def state_dict(self) -> Saved:
         """Everything that a checkpoint must keep."""
@@ -322,8 +325,10 @@ class CriticLearner(Learner):
         size = self.config.policy_size
         seen = {arena: self._drawn(arena, size, "observation")["observation"] for arena in taught}
         outputs = self._outputs(seen)
-        losses = [self.critics[arena].loss(one, outputs[arena]) for arena, one in seen.items()]
-        (gradient,) = torch.autograd.grad(torch.stack(losses).sum(), self.network.weight)
+        lesson = torch.zeros_like(outputs)
+        for arena, one in seen.items():
+            lesson[arena] = self.critics[arena].lesson(one, outputs[arena])
+        (gradient,) = torch.autograd.grad(outputs, self.network.weight, lesson)
         slots = self.network.shape[1]
         for arena in taught:
             self._move(self.network.weight, gradient, slice(arena * slots, (arena + 1) * slots))
@@ -372,10 +377,12 @@ class CriticLearner(Learner):
         steps, moments = weight.new_zeros(len(weight)), torch.zeros(2, *weight.shape)
         with self._on_device(young):
             moments, steps = moments.to(weight.device), steps.to(weight.device)
-            for _ in range(config.newborn_updates):
-                seen = self._drawn(arena, config.policy_size, "observation")["observation"]
-                loss = critic.loss(seen, young(seen.expand(*shape, -1, -1)))
-                (gradient,) = torch.autograd.grad(loss, weight)
+            size = config.newborn_updates * config.policy_size
+            drawn = self._drawn(arena, size, "observation")["observation"]
+            for seen in drawn.split(config.policy_size):
+                outputs = young(seen.expand(*shape, -1, -1))
+                lesson = critic.lesson(seen, outputs)
+                (gradient,) = torch.autograd.grad(outputs, weight, lesson)
                 with torch.no_grad():
                     step = config.learning_rate * adam(gradient, steps, *moments)
                     take_over(weight, weight - step)

@@ -132,26 +132,23 @@ def test_the_slow_copy_follows() -> None:
 
 
 def test_a_network_is_told_what_its_action_in_a_box_is_worth() -> None:
-    critic = SharedCritic(CriticConfig(width=4), BOX, 2, 3, seed=0)
+    critic = SharedCritic(CriticConfig(width=16), BOX, 2, 3, seed=0)
     seen, outputs = torch.rand(5, 2), torch.rand(3, 5, 1)
-    expected = 0.0
-    for network in range(3):
-        for row in range(5):
-            action = 2 * outputs[network, row] - 1  # from [0, 1] to [-1, 1]
-            expected -= critic.critic(torch.cat([seen[row], action])[None])[0].item() / 5
-    assert critic.loss(seen, outputs).item() == pytest.approx(expected, rel=1e-5)
+    outputs[0, 0], outputs[1, 1] = -0.5, 1.5  # beyond the bounds, where they are cut off
+    outputs.requires_grad_()
+    action = 2 * outputs.clamp(0, 1) - 1  # from [0, 1] to [-1, 1]
+    worth = [critic.critic(torch.cat([seen, one], -1))[0] for one in action]
+    expected = torch.autograd.grad(-torch.stack(worth).mean(1).sum(), outputs)[0]
+    torch.testing.assert_close(critic.lesson(seen, outputs), expected)
 
 
 def test_a_network_is_told_which_of_a_few_actions_is_worth_most() -> None:
     critic = SharedCritic(CriticConfig(), CHOICES, 2, 1, seed=0)
     constant(critic.critic, [1.0, 2.0, 6.0, 3.0, 2.0, 0.0])  # on average 2, 2 and 3
-    outputs = torch.zeros(1, 4, 3, requires_grad=True)
-    loss = critic.loss(torch.zeros(4, 2), outputs)
-    assert loss.item() == pytest.approx(-(2 + 2 + 3) / 3)
-    loss.backward()
+    lesson = critic.lesson(torch.zeros(4, 2), torch.zeros(1, 4, 3))
     # d/dz_a of -sum p Q is -p_a (Q_a - mean Q), a quarter for each of four rows.
     expected = -torch.tensor([2 - 7 / 3, 2 - 7 / 3, 3 - 7 / 3]) / 3 / 4
-    torch.testing.assert_close(outputs.grad, expected.expand(1, 4, 3))
+    torch.testing.assert_close(lesson, expected.expand(1, 4, 3))
 
 
 @pytest.mark.parametrize("heads", [BOX, CHOICES], ids=["box", "choices"])
@@ -266,12 +263,12 @@ def test_an_arena_learns_the_same_whatever_stands_beside_it(heads: Heads) -> Non
     assert torch.equal(both.network.weight[3:], alone.network.weight)
 
 
-def test_first_reads_like_the_first_of_both() -> None:
-    critic = TwinCritic(3, 2, 16, torch.Generator().manual_seed(0))
-    given = torch.rand(7, 3)
-    torch.testing.assert_close(critic.first(given), critic(given)[0])
-    bound = 1 / math.sqrt(3)
-    assert critic.weights[0].abs().max() <= bound
+def test_a_slope_is_that_of_autograd() -> None:
+    critic = TwinCritic(3, 1, 16, torch.Generator().manual_seed(0))
+    given = torch.rand(7, 3, requires_grad=True)
+    (expected,) = torch.autograd.grad(critic(given)[0].sum(), given)
+    torch.testing.assert_close(critic.slope(given.detach()), expected)
+    assert critic.weights[0].abs().max() <= 1 / math.sqrt(3)
 
 
 def test_several_candidates_are_refused() -> None:
