@@ -347,7 +347,7 @@ class CriticLearner(Learner):
         some = next(iter(observations.values()))
         arenas, slots = self.network.shape
         every = [observations.get(arena, some) for arena in range(arenas)]
-        return self.network(torch.stack(every).unsqueeze(1).expand(-1, slots, -1, -1))
+        return self.network.step(torch.stack(every).unsqueeze(1).expand(-1, slots, -1, -1))[0]
 
     @torch.no_grad()
     def _move(self, weight: Tensor, gradient: Tensor, rows: slice) -> None:
@@ -380,7 +380,7 @@ class CriticLearner(Learner):
             size = config.newborn_updates * config.policy_size
             drawn = self._drawn(arena, size, "observation")["observation"]
             for seen in drawn.split(config.policy_size):
-                outputs = young(seen.expand(*shape, -1, -1))
+                outputs = young.step(seen.expand(*shape, -1, -1))[0]
                 lesson = critic.lesson(seen, outputs)
                 (gradient,) = torch.autograd.grad(outputs, weight, lesson)
                 with torch.no_grad():
