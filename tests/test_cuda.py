@@ -17,6 +17,8 @@ from neatq_torch.learning import (
     CandidatePolicy,
     CandidateTDLoss,
     CandidateValue,
+    CriticConfig,
+    CriticLearner,
     EpsilonGreedy,
     TDConfig,
     TDLearner,
@@ -169,3 +171,18 @@ def test_what_was_learnt_is_written_back() -> None:
     write_back(learner.network, [population])
     for slot, genome in enumerate(population.genomes):
         assert np.array_equal(genome.link_weight, learner.network.genome(slot).link_weight)
+
+
+def test_a_shared_critic_on_the_gpu_teaches_networks_that_act_on_the_cpu() -> None:
+    heads_of_one = CandidateHeads(1, [-1.0, 0.0], [1.0, 2.0])
+    network = PopulationNetwork(some_genomes(2), shape=(1, ROBOTS))
+    config = CriticConfig(width=8, warmup=5, every=2, newborn_updates=3, device="cuda")
+    learner = CriticLearner(network, heads_of_one, config, seeds=[0])
+    batch = act("cpu")
+    batch["genome_id"] = network.genome_id[..., None, None].expand(1, ROBOTS, TICKS, 1)
+    before = network.weight.detach().clone()
+    learner.update(batch)
+    learner.reset(torch.ones(1, ROBOTS, dtype=torch.bool))
+    assert network.weight.device.type == "cpu"
+    assert learner.critics[0].memory.device.type == "cuda"
+    assert not torch.equal(network.weight, before)

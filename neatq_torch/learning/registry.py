@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from torchrl.objectives.utils import ValueEstimators
 
 from neatq_torch.kinds import ConfigError, Kinds
@@ -110,6 +111,13 @@ def replay_seeds(seeds: Sequence[int]) -> list[int]:
 
 
 def _critic(config: CriticConfig, parts: LearnerParts) -> CriticLearner:
+    try:
+        torch.empty(0, device=config.device)
+    except (RuntimeError, AssertionError) as error:
+        first = str(error).partition("\n")[0]
+        raise ConfigError(
+            f"device: expected one of this machine, such as cpu, got {config.device!r} ({first})"
+        ) from error
     seeds = replay_seeds(parts.seeds)
     return CriticLearner(parts.networks(), parts.heads, config, seeds, parts.normalization)
 

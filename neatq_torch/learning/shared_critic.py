@@ -31,7 +31,7 @@ class CriticConfig:
     Attributes:
         learning_rate: Of the networks (Adam).
         critic_learning_rate: Of the critic (Adam).
-        updates: Steps of the critic for each step of the environment.
+        updates_per_step: Steps of the critic for each step of the environment.
         every: Steps of the critic for each step of the networks that are alive; None: they learn
             before their life only.
         newborn_updates: Steps of a newborn before its life.
@@ -42,7 +42,7 @@ class CriticConfig:
         warmup: Remembered transitions before anything is learnt.
         width: Nodes of each of the critic's two hidden layers.
         discount: Weight gamma of the next step's reward in the return.
-        target_tau: Share of the critic that its target takes over at each step.
+        critic_tau: Share of the critic that its target takes over at each step.
         smoothing: Noise on the actions of targets, in halves of what is allowed of an action.
         noise: Standard deviation of the noise on actions in a box, likewise.
         persistence: Of that noise from step to step; 0 is white noise.
@@ -53,22 +53,22 @@ class CriticConfig:
         device: Where memory, critic and networks are while they learn: cpu, cuda. None: cpu.
 
     Example:
-        >>> config = CriticConfig(updates=0.5, width=256)
+        >>> config = CriticConfig(updates_per_step=0.5, width=256)
     """
 
-    learning_rate: float = 1e-3
+    learning_rate: float = 3e-3
     critic_learning_rate: float = 1e-3
-    updates: float = 0.25
-    every: int | None = 2
-    newborn_updates: int = 200
+    updates_per_step: float = 0.5
+    every: int | None = None
+    newborn_updates: int = 1_000
     size: int = 256
     policy_size: int = 64
-    horizon: int = 1
+    horizon: int = 3
     capacity: int = 300_000
     warmup: int = 1_000
-    width: int = 128
+    width: int = 64
     discount: float = 0.99
-    target_tau: float = 0.01
+    critic_tau: float = 0.01
     smoothing: float = 0.2
     noise: float = 0.1
     persistence: float = 0.0
@@ -79,10 +79,12 @@ class CriticConfig:
 
     def __post_init__(self) -> None:
         check_fields(self, learning_rate="[0, inf)", critic_learning_rate="(0, inf)")
-        check_fields(self, updates="(0, inf)", every="[1, inf]", newborn_updates="[0, inf]")
+        check_fields(
+            self, updates_per_step="(0, inf)", every="[1, inf]", newborn_updates="[0, inf]"
+        )
         for name in ("size", "policy_size", "horizon", "capacity", "warmup", "width"):
             check_fields(self, **{name: "[1, inf]"})
-        check_fields(self, discount="[0, 1]", target_tau="(0, 1]", smoothing="[0, inf)")
+        check_fields(self, discount="[0, 1]", critic_tau="(0, 1]", smoothing="[0, inf)")
         check_fields(self, noise="[0, inf)", persistence="[0, 1)", epsilon="[0, 1]")
         check_fields(self, max_hold_ticks="[1, inf]", inheritance=Inheritance)
 
@@ -141,7 +143,7 @@ class SharedCritic:
         self.spread.add(returns[None, ..., None], lived[None])
         self.memory.extend(ahead.reshape(-1))
         if len(self.memory) >= self.config.warmup:
-            self.due += self.config.updates * int(lived.sum())
+            self.due += self.config.updates_per_step * int(lived.sum())
 
     def unit(self, action: Tensor) -> Tensor:
         """Actions in a box [..., A], as the critic reads them: within [-1, 1]."""
@@ -175,7 +177,7 @@ class SharedCritic:
         error.backward()
         self.optimizer.step()
         for slow, own in zip(self.target.parameters(), self.critic.parameters(), strict=True):
-            slow.lerp_(own.detach(), self.config.target_tau)
+            slow.lerp_(own.detach(), self.config.critic_tau)
         return error.detach() / 2
 
     def _following(self, observation: Tensor, outputs: Tensor) -> Tensor:

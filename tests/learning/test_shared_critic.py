@@ -122,7 +122,7 @@ def test_rewards_are_measured_by_how_far_returns_go() -> None:
 
 
 def test_the_slow_copy_follows() -> None:
-    critic = SharedCritic(CriticConfig(target_tau=0.25), CHOICES, 2, 3, seed=0)
+    critic = SharedCritic(CriticConfig(critic_tau=0.25), CHOICES, 2, 3, seed=0)
     before = [one.clone() for one in critic.target.parameters()]
     critic.step(rows(CHOICES, reward=1.0, terminated=False, steps=1), torch.zeros(3, 1, 3))
     for old, new, slow in zip(
@@ -156,7 +156,12 @@ def test_newborns_learn_what_pays_before_their_first_step(heads: Heads) -> None:
     """Episodes of one step, which pays most for one action: 1 in the box, or the last of three."""
     network = population(heads)
     config = CriticConfig(
-        updates=4.0, newborn_updates=300, warmup=100, learning_rate=0.01, every=None, width=32
+        updates_per_step=4.0,
+        newborn_updates=300,
+        warmup=100,
+        learning_rate=0.01,
+        every=None,
+        width=32,
     )
     learner = CriticLearner(network, heads, config, seeds=[0])
     for seed in range(5):
@@ -179,7 +184,7 @@ def test_newborns_learn_what_pays_before_their_first_step(heads: Heads) -> None:
 def test_those_alive_learn_where_that_is_wanted() -> None:
     for every, learns in ((2, True), (None, False)):
         network = population(BOX)
-        config = CriticConfig(width=8, warmup=10, every=every, updates=0.5)
+        config = CriticConfig(width=8, warmup=10, every=every, updates_per_step=0.5)
         learner = CriticLearner(network, BOX, config, seeds=[0])
         before = network.weight.detach().clone()
         learner.update(batch_of(0, BOX, network))
@@ -189,7 +194,9 @@ def test_those_alive_learn_where_that_is_wanted() -> None:
 
 def test_a_network_that_is_alive_follows_the_gradient_by_adam() -> None:
     network = population(BOX)
-    config = CriticConfig(width=8, warmup=1, every=1, updates=1 / 24, learning_rate=0.01)
+    config = CriticConfig(
+        width=8, warmup=1, every=1, updates_per_step=1 / 24, horizon=1, learning_rate=0.01
+    )
     learner = CriticLearner(network, BOX, config, seeds=[0])
     before = network.weight.detach().clone()
     learner.update(batch_of(0, BOX, network))  # one step: Adam's first is by the rate, or none
@@ -205,11 +212,11 @@ def test_nothing_is_learnt_before_enough_is_remembered_or_where_nobody_lives() -
     learner.update(batch_of(0, BOX, network))
     assert learner.critics[0].steps == 0
     learner.update(batch_of(1, BOX, network))
-    assert learner.critics[0].steps == 6  # a quarter of the 24 of this batch
+    assert learner.critics[0].steps == 12  # half a step for each of the 24 of this batch
     idle = batch_of(2, BOX, network)
     idle["genome_id"] = torch.full_like(idle["genome_id"], -1)
     learner.update(idle)
-    assert learner.critics[0].steps == 6
+    assert learner.critics[0].steps == 12
 
 
 def learners(heads: Heads, **changes: Any) -> CriticLearner:

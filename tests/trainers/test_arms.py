@@ -38,7 +38,7 @@ DIGESTS = {
     ("gym:Pendulum-v1", "neat"): "01af2cd64efa",
     ("gym:Pendulum-v1", "committed"): "be7f32a6651b",
     ("gym:Pendulum-v1", "described"): "cbe2c6443f79",
-    ("gym:Pendulum-v1", "neatq"): "33eaf3f8e65c",
+    ("gym:Pendulum-v1", "neatq"): "0210a8629c89",
     ("gym:Pendulum-v1", "neat+q"): "b67c774956fd",
     ("gym:Pendulum-v1", "qnetwork"): "f0f76f2d9620",
 }
@@ -46,7 +46,7 @@ DEFAULTS = {
     ("learner", "none"): "44136fa355b3",
     ("learner", "td"): "254488fc029a",
     ("learner", "replay"): "4b6a4e4f7a25",
-    ("learner", "critic"): "699a0cc48722",
+    ("learner", "critic"): "7b63066c3b46",
     ("learner", "traces"): "27a1f8b7d1a8",
     ("learner", "table"): "473a57fb72fd",
     ("population", "rtneat"): "d4aabaeee5d2",

@@ -95,7 +95,7 @@ _TAUGHT = Arm(
         ineligible_fraction=0.6,
         founders=LayeredFounders(hidden=6),
     ),
-    learner=CriticConfig(horizon=3),
+    learner=CriticConfig(),
     network=NetworkConfig(candidates=1, normalization="running"),
     slots=20,
 )

@@ -1,0 +1,83 @@
+"""Runs in which networks read what is normalised, and learn from a shared critic."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from neatq_torch.kinds import ConfigError
+from neatq_trainers.arms import preset
+from neatq_trainers.config import RunConfig
+from neatq_trainers.folder import SCALING, load_run
+from neatq_trainers.train import resume, start
+
+Tiny = Callable[..., RunConfig]
+NORMAL = {"network.normalization": "running"}
+CRITIC = {
+    "learner.kind": "critic",
+    "learner.warmup": 50,
+    "learner.width": 8,
+    "learner.newborn_updates": 3,
+    "network.candidates": 1,
+}
+
+
+def same(tmp_path: Path, whole: RunConfig, **length: int) -> None:
+    """A run that is interrupted goes on as if nobody had stopped it."""
+    start(whole, tmp_path / "whole")
+    shorter = {name: value // 2 for name, value in length.items()}
+    start(whole.changed(shorter), tmp_path / "parts")
+    resume(tmp_path / "parts", **length)
+    for name in ("metrics.csv", "champion.json", SCALING):
+        files = [tmp_path / run / name for run in ("whole", "parts")]
+        one, other = (file.read_text() if file.exists() else None for file in files)
+        assert one == other
+
+
+@pytest.mark.parametrize("changes", [NORMAL, CRITIC, NORMAL | CRITIC])
+@pytest.mark.parametrize("arm", ["neat", "rtneat"])
+def test_a_run_goes_on_exactly(
+    tiny_walk: Tiny, tmp_path: Path, arm: str, changes: dict[str, object]
+) -> None:
+    same(tmp_path, tiny_walk(arm, generations=4, **changes), generations=4)
+
+
+def test_the_scaling_of_a_run_is_what_its_champion_read(tiny_walk: Tiny, tmp_path: Path) -> None:
+    config = tiny_walk("neat", generations=4, **NORMAL)
+    run = start(config, tmp_path / "run")
+    begun = run.read()["facts"]["observation"]
+    own = json.loads((run.path / SCALING).read_text())["observation"]
+    assert not np.allclose(own["offset"], begun["offset"])
+    (champion,) = run.read()["runs"][0]["metrics"]["champions"]
+    for name in ("offset", "scale"):
+        np.testing.assert_array_equal(own[name], champion["scaling"][name])
+
+
+def test_without_normalisation_the_scaling_is_that_of_random_play(
+    tiny_walk: Tiny, tmp_path: Path
+) -> None:
+    run = start(tiny_walk("neat"), tmp_path / "run")
+    own = json.loads((run.path / SCALING).read_text())
+    assert own == load_run(run.path).read()["facts"]
+
+
+def test_where_networks_learn_q_values_of_their_own_nothing_is_normalised() -> None:
+    for arm in ("described", "neat+q", "qnetwork"):
+        with pytest.raises(ConfigError, match=r"network.normalization: expected None; the learner"):
+            preset("gym:CartPole-v1", arm).changed(NORMAL)
+    with pytest.raises(ConfigError, match=r"network.normalization: expected None on wall"):
+        preset("wall", "rtneat").changed(NORMAL)
+
+
+def test_a_device_that_is_not_there_is_named(tiny_walk: Tiny, tmp_path: Path) -> None:
+    config = tiny_walk("neat", **CRITIC, **{"learner.device": "nowhere"})
+    with pytest.raises(ConfigError, match=r"learner.device: expected one of this machine, such as"):
+        start(config, tmp_path / "run")
+
+
+def test_a_critic_teaches_in_the_arena_too(tiny: Tiny, tmp_path: Path) -> None:
+    same(tmp_path, tiny("neatq", ticks=400, **CRITIC), ticks=400)
