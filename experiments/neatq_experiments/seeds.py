@@ -88,16 +88,18 @@ def seeds_folder(task: SeedTask) -> Path:
     return task.folder / f"seeds-{task.seeds[0]}-{task.seeds[-1]}"
 
 
-def run_missing(runs: Runs, folder: Path, *, seeds: int, quick: bool, jobs: int) -> None:
-    """Run the seeds 0, 1, ... of all arms that have no result in the folder yet."""
-    _run(runs, tasks(runs, folder, seeds=seeds, quick=quick), jobs)
+def run_missing(
+    runs: Runs, folder: Path, *, seeds: int, quick: bool, jobs: int, begin: int = 0
+) -> None:
+    """Run so many seeds of all arms, from `begin` on, that have no result in the folder yet."""
+    _run(runs, tasks(runs, folder, seeds=seeds, quick=quick, begin=begin), jobs)
 
 
-def tasks(runs: Runs, folder: Path, *, seeds: int, quick: bool) -> list[SeedTask]:
+def tasks(runs: Runs, folder: Path, *, seeds: int, quick: bool, begin: int = 0) -> list[SeedTask]:
     """The tasks that have no result yet; the same seed of all arms comes before the next seed."""
     tasks = []
-    for first in range(0, seeds, runs.batch):
-        batch = range(first, min(first + runs.batch, seeds))
+    for first in range(begin, begin + seeds, runs.batch):
+        batch = range(first, min(first + runs.batch, begin + seeds))
         for arm in runs.arms:
             missing = tuple(seed for seed in batch if not result_path(folder, arm, seed).is_file())
             if missing:
@@ -111,12 +113,12 @@ def result_path(folder: Path, arm: str, seed: int) -> Path:
     return folder / arm / f"seed-{seed}.json"
 
 
-def read_results(runs: Runs, folder: Path, seeds: int) -> Results:
-    """The results of seeds 0, 1, ... of every arm, as far as they are there."""
+def read_results(runs: Runs, folder: Path, seeds: int, begin: int = 0) -> Results:
+    """The results of so many seeds of every arm from `begin` on, as far as they are there."""
     return {
         arm: [
             _read_result(path)
-            for seed in range(seeds)
+            for seed in range(begin, begin + seeds)
             if (path := result_path(folder, arm, seed)).exists()
         ]
         for arm in runs.arms

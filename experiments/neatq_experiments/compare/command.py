@@ -70,6 +70,8 @@ class CompareCommand:
     tasks rtneat, neat, neatq and neat+q."""
     seeds: int | None = None
     """Seeds 0, 1, ... of each arm on each task. Default: 20; with --quick 2."""
+    first_seed: int = 0
+    """The seeds are so much greater: for seeds with which no setting was chosen."""
     quick: bool = False
     """Only the first tenth of each run: the same runs, stopped earlier."""
     ticks: int | None = None
@@ -127,6 +129,7 @@ def compare(  # noqa: PLR0913  (as many as the command has options)
     arms: Sequence[str] | None = None,
     *,
     seeds: int = FULL_SEEDS,
+    first_seed: int = 0,
     quick: bool = False,
     ticks: int | None = None,
     steps: int | None = None,
@@ -145,6 +148,7 @@ def compare(  # noqa: PLR0913  (as many as the command has options)
         arms: Arms, variants or groups of variants. None: the five of the arena; on other tasks
             rtneat, neat, neatq and neat+q.
         seeds: Seeds 0, 1, ... of each arm on each task.
+        first_seed: By how much the seeds are greater.
         quick: Whether the first tenth of each run is enough.
         ticks: Length of each run in the arena and in worlds of one's own.
         steps: Length of each run on a Gymnasium task. Default: 500,000.
@@ -164,6 +168,7 @@ def compare(  # noqa: PLR0913  (as many as the command has options)
         tasks=(tasks,) if isinstance(tasks, str) else tuple(tasks),
         arms=None if arms is None else tuple(arms),
         seeds=seeds,
+        first_seed=first_seed,
         quick=quick,
         ticks=ticks,
         steps=steps,
@@ -216,7 +221,9 @@ def _refuse_impossible(command: CompareCommand) -> None:
         value = getattr(command, name)
         if value is not None and value < 1:
             raise ConfigError(f"{name}: expected at least 1, got {value}")
-    for name in ("seeds", "jobs", "quick", "env_kwargs", *LENGTHS):
+    if command.first_seed < 0:
+        raise ConfigError(f"first_seed: expected at least 0, got {command.first_seed}")
+    for name in ("seeds", "first_seed", "jobs", "quick", "env_kwargs", *LENGTHS):
         if getattr(command, name) and command.results is not None:
             raise ConfigError(f"{name}: nothing is run with --results; leave one of them out")
 
@@ -234,8 +241,9 @@ def _run_grid(command: CompareCommand) -> Comparison:
     jobs, folder = command.jobs or usable_cores(), command.folder / CELLS
 
     def results(runs: Runs) -> Results:
-        run_missing(runs, folder, seeds=seeds, quick=command.quick, jobs=jobs)
-        return read_results(runs, folder, seeds)
+        begin = command.first_seed
+        run_missing(runs, folder, seeds=seeds, quick=command.quick, jobs=jobs, begin=begin)
+        return read_results(runs, folder, seeds, begin)
 
     near = [cell for cell in cells if cell.in_arena]
     others = [cell for cell in cells if not cell.in_arena]
