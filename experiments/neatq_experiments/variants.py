@@ -105,6 +105,15 @@ def _without() -> dict[str, Variant]:
     }
 
 
+_WIRES = {
+    "learning_rate": 0.03,
+    "optimizer": "adam",
+    "discount": 0.98,
+    "normalize_return": False,
+    "epsilon": 0.01,
+    "newborn_updates": 100,
+    "horizon": 10,
+}
 _WORLD = {"world.scenario.sensors": "arena", "world.scenario.reward": "progress"}
 _SPARING = STUDY_PARTS["sparing"].added
 STUDY_GROUPS: dict[str, dict[str, Variant]] = {
@@ -195,6 +204,50 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
             summary="neatq whose learning rate, epsilon and discount evolve, scored without "
             "exploration",
             changes={"learner.genes": 0.2},
+        ),
+    },
+    "critic": {
+        "neatq-living": Variant(
+            base="neatq",
+            summary="on Gymnasium tasks: neatq whose networks learn from the critic in life, too",
+            changes={"learner.every": 2},
+        ),
+        "neatq-one-step": Variant(
+            base="neatq",
+            summary="on Gymnasium tasks: neatq whose critic looks one step ahead, not three",
+            changes={"learner.horizon": 1},
+        ),
+        "neatq-seldom": Variant(
+            base="neatq",
+            summary="on Gymnasium tasks: neatq whose critic takes half as many steps",
+            changes={"learner.updates_per_step": 0.25},
+        ),
+        "neatq-as-it-comes": Variant(
+            base="neatq",
+            summary="on Gymnasium tasks: neatq that reads observations as random play scales them",
+            changes={"network.normalization": None},
+        ),
+        "neatq-minimal": Variant(
+            base="neatq",
+            summary="on Gymnasium tasks: neatq whose founders have no hidden nodes",
+            changes={"population.founders": None},
+        ),
+        "neatq-wires": Variant(
+            base="neatq",
+            summary="on Gymnasium tasks: the population of neatq, with wire fitting as in the arena",
+            changes={
+                "learner": {"kind": "replay", **_WIRES},
+                "network.normalization": None,
+                "network.candidates": 5,
+            },
+        ),
+        "neatq-without-births": Variant(
+            base="neatq",
+            summary="on Gymnasium tasks: learning alone, twenty networks that follow the critic",
+            changes={
+                "population": {"kind": "fixed", "founders": {"hidden": 6}},
+                "learner.every": 2,
+            },
         ),
     },
 }

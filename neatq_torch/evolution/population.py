@@ -150,7 +150,7 @@ class Population(Kept, ABC):
     ) -> Self:
         """A population of founders, numbered from 1, that look as the configuration says.
 
-        That is `config.start` or `config.founders`, if it has such; else they are minimal.
+        That is `config.founders` or `config.start`, if it has such; else they are minimal.
 
         Args:
             config: of this kind of population.
@@ -170,13 +170,13 @@ class Population(Kept, ABC):
         settings["observation_schema"] = observation_schema
         make, look = initial_genome, getattr(config, "start", "minimal")
         layered: LayeredFounders | None = getattr(config, "founders", None)
-        if look != "minimal":
-            make = layered_genome if look == "layered" else random_genome
-            settings["hidden"] = config.start_hidden
-        elif layered is not None:
+        if layered is not None:
             make, settings["hidden"] = layered_genome, layered.hidden
             settings["hidden_activation"] = layered.activation
             settings["weight_scale"] = layered.weight_scale
+        elif look != "minimal":
+            make = layered_genome if look == "layered" else random_genome
+            settings["hidden"] = config.start_hidden
         numbers = range(1, slots + 1)
         founders = [make(inputs, outputs, genome_id=one, **settings) for one in numbers]
         ledger = InnovationLedger.for_genomes(founders)
@@ -350,6 +350,7 @@ class FixedConfig:
         episodes: of a life, as in `NEATConfig`.
         start: what they look like.
         start_hidden: hidden nodes of "layered" ones, and the most that "random" ones have.
+        founders: what they look like instead of `start`; None: as that says.
 
     Example:
         >>> config = FixedConfig(start_hidden=20)
@@ -358,6 +359,7 @@ class FixedConfig:
     episodes: int = 1
     start: Start = "layered"
     start_hidden: int = 10
+    founders: LayeredFounders | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, start=Start, start_hidden="[1, inf]", episodes="[1, inf]")

@@ -51,7 +51,7 @@ DEFAULTS = {
     ("learner", "table"): "473a57fb72fd",
     ("population", "rtneat"): "d4aabaeee5d2",
     ("population", "neat"): "5476e51f239b",
-    ("population", "fixed"): "b82154a8afcc",
+    ("population", "fixed"): "6ebd5daf6c3f",
 }
 """Of the settings of a kind of part, as JSON."""
 TICKS = {
