@@ -234,7 +234,7 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
         ),
         "neatq-wires": Variant(
             base="neatq",
-            summary="on Gymnasium tasks: the population of neatq, with wire fitting as in the arena",
+            summary="on Gymnasium tasks: the population of neatq, wire fitting as in the arena",
             changes={
                 "learner": {"kind": "replay", **_WIRES},
                 "network.normalization": None,

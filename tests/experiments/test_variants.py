@@ -20,12 +20,23 @@ from neatq_torch.learning import EpsilonGreedy
 from neatq_trainers.config import RunConfig
 from neatq_trainers.worlds import ArenaConfig
 
-VARIANTS = {name: one for group in STUDY_GROUPS.values() for name, one in group.items()}
+ON_GYMNASIUM = STUDY_GROUPS["critic"]
+VARIANTS = {
+    name: one
+    for group in STUDY_GROUPS.values()
+    for name, one in group.items()
+    if name not in ON_GYMNASIUM
+}
 register()
 
 
-def test_no_two_variants_have_the_same_configuration() -> None:
-    names = {cell.name for cell in grid(["flag", "wall"], [*PAPER_ARMS, *VARIANTS], quick=False)}
+@pytest.mark.parametrize(
+    ("tasks", "arms"),
+    [(["flag", "wall"], [*PAPER_ARMS, *VARIANTS]), (["gym:Pendulum-v1"], ["neatq", *ON_GYMNASIUM])],
+)
+def test_no_two_variants_have_the_same_configuration(tasks: list[str], arms: list[str]) -> None:
+    names = {cell.name for cell in grid(tasks, arms, quick=False)}
+    assert len(names) == len(tasks) * len(arms)
     assert len({name.rsplit("-", 1)[1] for name in names}) == len(names)
 
 

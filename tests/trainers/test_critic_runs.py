@@ -31,7 +31,7 @@ def same(tmp_path: Path, whole: RunConfig, **length: int) -> None:
     start(whole, tmp_path / "whole")
     shorter = {name: value // 2 for name, value in length.items()}
     start(whole.changed(shorter), tmp_path / "parts")
-    resume(tmp_path / "parts", **length)
+    resume(tmp_path / "parts", ticks=length.get("ticks"), generations=length.get("generations"))
     for name in ("metrics.csv", "champion.json", SCALING):
         files = [tmp_path / run / name for run in ("whole", "parts")]
         one, other = (file.read_text() if file.exists() else None for file in files)
