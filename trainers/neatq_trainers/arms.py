@@ -185,6 +185,16 @@ ARMS: dict[str, Arm] = {
     ),
 }
 
+ANCHORS: dict[str, str] = {
+    "ppo": "PPO of TorchRL (Schulman et al. 2017): one network, in the arena for the whole team",
+    "sb3-ppo": "PPO of Stable-Baselines3 (Raffin et al. 2021), tuned by RL Zoo where it knows the "
+    "task",
+    "sb3-sac": "SAC of Stable-Baselines3 (Haarnoja et al. 2018), likewise; for boxes of actions",
+    "sb3-td3": "TD3 of Stable-Baselines3 (Fujimoto et al. 2018), likewise; for boxes of actions",
+    "sb3-dqn": "DQN of Stable-Baselines3 (Mnih et al. 2015), likewise; for actions to choose from",
+}
+"""What one would otherwise take, by name: `neatq compare` runs them beside arms."""
+
 
 def preset(
     task: str,
@@ -216,6 +226,9 @@ def preset(
         >>> config = preset("wall", "neatq", length={"ticks": 10_000})
         >>> config = config.changed({"learner.epsilon": 0.05})
     """
+    if arm in ANCHORS:
+        command = f"neatq compare --tasks {task} --arms {arm}"
+        raise ConfigError(f"arm: {arm} is an anchor, which only neatq compare runs: {command}")
     if arm not in ARMS:
         expected = f"arm: expected one of {', '.join(ARMS)}"
         raise ConfigError(f"{expected}; got {arm!r} (explained in {ARMS_PAGE})")

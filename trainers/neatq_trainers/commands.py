@@ -168,6 +168,7 @@ def list_command(arguments: list[str]) -> None:
     own = {name: make.__doc__ or "a world of your own" for name, make in env_kinds.items()}
     tables = {"tasks": TASK_LINES | own}
     tables["arms"] = {name: arm.summary for name, arm in arms.ARMS.items()}
+    tables["anchors, for neatq compare alone"] = arms.ANCHORS
     for title, kinds in (("populations", population_kinds), ("learners", learner_kinds)):
         tables[title] = {name: kinds.config(name).__doc__ or "" for name in kinds}
     for title, table in tables.items():

@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 
 from neatq_envs.gymnasium_task import PREFIX
 from neatq_envs.scenario import TASKS
+from neatq_experiments.anchors.anchor import AnchorConfig, anchor_config
+from neatq_experiments.anchors.run import trainer_of
 from neatq_experiments.compare.statistics import mean_of_known
 from neatq_experiments.compare.tables import POINT_ROWS, POINT_TICKS, Point, SeedOutcome, Study
 from neatq_experiments.compare.variants import config_of, default_arms, known_variants
 from neatq_experiments.seeds import Result, Results, Runs, SeedTask, run_seeds, seeds_folder
 from neatq_torch.kinds import ConfigError
-from neatq_trainers.arms import ARMS
+from neatq_trainers.arms import ANCHORS, ARMS
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import CHECKPOINT, METRICS, Columns, RunFolder, load_run
 from neatq_trainers.names import file_name
@@ -60,13 +62,13 @@ class Cell(NamedTuple):
 
     Attributes:
         task: What the task is called in tables.
-        arm: An arm or a variant.
+        arm: An arm, a variant or an anchor.
         config: How it runs, for any seed.
     """
 
     task: str
     arm: str
-    config: RunConfig
+    config: RunConfig | AnchorConfig
 
     @property
     def name(self) -> str:
@@ -79,8 +81,13 @@ class Cell(NamedTuple):
         """Whether it is judged by distances; else by returns of episodes."""
         return isinstance(self.config.world, ArenaConfig)
 
+    @property
+    def is_anchor(self) -> bool:
+        """Whether another algorithm runs than those of this project."""
+        return isinstance(self.config, AnchorConfig)
 
-def digest(config: RunConfig) -> str:
+
+def digest(config: RunConfig | AnchorConfig) -> str:
     """Twelve digits that are the same for all runs which differ in seed and length alone.
 
     They are the beginning of the SHA-256 of the configuration as JSON with sorted keys, without
@@ -88,7 +95,9 @@ def digest(config: RunConfig) -> str:
     seed, checkpoint_seconds and logger. Nor does None count, with which a setting is switched off:
     so a later version's settings leave the digests of runs without them as they are.
     """
-    values = RunConfig.from_dict(config.to_dict()).to_dict()  # 1 and 1.0 are the same number
+    values = config.to_dict()
+    if isinstance(config, RunConfig):
+        values = RunConfig.from_dict(values).to_dict()  # 1 and 1.0 are the same number
     kept = _without_none({name: value for name, value in values.items() if name not in _ANY})
     text = json.dumps(kept, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:12]
@@ -112,7 +121,7 @@ def grid(
 
     Args:
         tasks: As `preset` takes them.
-        arms: Arms or variants; None: those that a task has by default.
+        arms: Arms, variants or anchors; None: those that a task has by default.
         quick: Whether the first tenth of each run is enough.
         env_kwargs: Keys of the scenario, or arguments of the environment, with other values.
         length: Of each run, by unit; those of a unit are for the worlds that count in it.
@@ -130,7 +139,7 @@ def grid(
             )
     given = {unit: value for unit, value in (length or {}).items() if value is not None}
     cells = [
-        Cell(label, arm, _with_length(config_of(task, arm, env_kwargs), given, quick=quick))
+        Cell(label, arm, _with_length(_config_of(task, arm, env_kwargs), given, quick=quick))
         for task, label in zip(tasks, labels, strict=True)
         for arm in (default_arms(task) if arms is None else arms)
     ]
@@ -139,7 +148,15 @@ def grid(
     return cells
 
 
-def _with_length(config: RunConfig, given: Mapping[str, int], *, quick: bool) -> RunConfig:
+def _config_of(
+    task: str, arm: str, env_kwargs: Mapping[str, Any] | None = None
+) -> RunConfig | AnchorConfig:
+    return (anchor_config if arm in ANCHORS else config_of)(task, arm, env_kwargs)
+
+
+def _with_length(
+    config: RunConfig | AnchorConfig, given: Mapping[str, int], *, quick: bool
+) -> RunConfig | AnchorConfig:
     own = {unit: value for unit, value in given.items() if unit in config.world.lengths}
     if isinstance(config.world, GymnasiumConfig):
         own = own or {"steps": STEPS}
@@ -191,10 +208,12 @@ def runs_of(cells: Sequence[Cell], read: Read = distances, batch: int = SEEDS_TO
 
 
 def run_cell(
-    configs: Mapping[str, RunConfig], task: SeedTask, read: Read = distances
+    configs: Mapping[str, RunConfig | AnchorConfig], task: SeedTask, read: Read = distances
 ) -> list[Result]:
     """Run some seeds of a cell, or go on with them; one result for each seed."""
     config = configs[task.arm]
+    if isinstance(config, AnchorConfig):
+        return [_anchor_result(config, seed) for seed in task.seeds]
     unit = "ticks" if config.ticks else "steps"
     done, began = _done(seeds_folder(task), unit), time.process_time()
     folder = run_seeds(task, config)
@@ -206,6 +225,16 @@ def run_cell(
     return [{**read(run, metrics, seed - first), **cpu} for seed in task.seeds]
 
 
+def _anchor_result(config: AnchorConfig, seed: int) -> Result:
+    """Run an anchor with a seed, from the beginning."""
+    train, began = trainer_of(config), time.process_time()
+    came = train(config, seed)
+    used = time.process_time() - began
+    if config.ticks:
+        return {**seed_result(came, 0, config.ticks), "cpu_seconds": 1000 * used / config.ticks}
+    return {**came, "cpu_seconds": 1000 * used / came["all_steps"]}
+
+
 def _done(folder: Path, unit: str) -> int:
     """Ticks or steps that the run in a folder has, if there is one."""
     if not (folder / CHECKPOINT).exists():
@@ -213,8 +242,11 @@ def _done(folder: Path, unit: str) -> int:
     return load_run(folder).read()["done"][unit]
 
 
-def share_done(configs: Mapping[str, RunConfig], task: SeedTask) -> float:
-    """How much of a task is done, 0 to 1, by the last whole line of its metrics."""
+def share_done(configs: Mapping[str, RunConfig | AnchorConfig], task: SeedTask) -> float:
+    """How much of a task is done, 0 to 1, by the last whole line of its metrics.
+
+    Anchors write none: nothing of them is done before all is.
+    """
     unit, total = configs[task.arm].length
     try:
         with (seeds_folder(task) / METRICS).open("rb") as file:
@@ -319,6 +351,6 @@ def outdated(study: Study) -> list[tuple[str, str]]:
         for task in study.tasks
         for arm in study.arms(task)
         if task in TASKS
-        and arm in (*ARMS, *known_variants())
-        and {one.digest for one in study.outcomes_of(task, arm)} != {digest(config_of(task, arm))}
+        and arm in (*ARMS, *ANCHORS, *known_variants())
+        and {one.digest for one in study.outcomes_of(task, arm)} != {digest(_config_of(task, arm))}
     ]

@@ -66,8 +66,9 @@ class CompareCommand:
     """Built-in tasks, scenario files, gym:ID, or registered worlds. Default: those of the paper."""
     arms: tuple[str, ...] | None = None
     """Arms, variants or groups of variants, such as ladder (from described to neatq, one part at a
-    time) and without (neatq without one part each). Default: the five arms of the arena; on other
-    tasks rtneat, neat, neatq and neat+q."""
+    time) and without (neatq without one part each), and anchors, which one would otherwise take:
+    ppo, and on Gymnasium tasks sb3-ppo, sb3-sac, sb3-td3 and sb3-dqn. Default: the five arms of
+    the arena; on other tasks rtneat, neat, neatq and neat+q."""
     seeds: int | None = None
     """Seeds 0, 1, ... of each arm on each task. Default: 20; with --quick 2."""
     first_seed: int = 0
@@ -93,7 +94,7 @@ class CompareCommand:
     """Where everything is written. Default: runs/compare, with --quick runs/compare-quick, with
     --results that folder."""
     overview: Annotated[bool, tyro.conf.arg(name="list")] = False
-    """Say which arms, variants and tasks there are, and do nothing."""
+    """Say which arms, anchors, variants and tasks there are, and do nothing."""
 
     @property
     def folder(self) -> Path:
@@ -145,8 +146,8 @@ def compare(  # noqa: PLR0913  (as many as the command has options)
 
     Args:
         tasks: Built-in tasks, scenario files, "gym:ID", or registered worlds.
-        arms: Arms, variants or groups of variants. None: the five of the arena; on other tasks
-            rtneat, neat, neatq and neat+q.
+        arms: Arms, variants, groups of variants or anchors. None: the five of the arena; on other
+            tasks rtneat, neat, neatq and neat+q.
         seeds: Seeds 0, 1, ... of each arm on each task.
         first_seed: By how much the seeds are greater.
         quick: Whether the first tenth of each run is enough.
@@ -242,12 +243,17 @@ def _run_grid(command: CompareCommand) -> Comparison:
 
     def results(runs: Runs) -> Results:
         begin = command.first_seed
-        run_missing(runs, folder, seeds=seeds, quick=command.quick, jobs=jobs, begin=begin)
+        if runs.arms:
+            run_missing(runs, folder, seeds=seeds, quick=command.quick, jobs=jobs, begin=begin)
         return read_results(runs, folder, seeds, begin)
 
     near = [cell for cell in cells if cell.in_arena]
     others = [cell for cell in cells if not cell.in_arena]
-    study = study_of(near, results(runs_of(near))) if near else None
+    study = None
+    if near:
+        anchors = [cell for cell in near if cell.is_anchor]
+        found = results(runs_of([cell for cell in near if not cell.is_anchor]))
+        study = study_of(near, {**found, **results(runs_of(anchors, batch=1))})
     # One seed at a time: side by side, all would go on until the slowest has its steps.
     alone = runs_of(others, read=returns_of_seed, batch=1)
     returns = returns_of(others, results(alone)) if others else None

@@ -16,10 +16,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from neatq_envs.render import plain_title
+from neatq_experiments.anchors.anchor import AnchorConfig
 from neatq_experiments.compare import statistics
 from neatq_experiments.compare.cells import Cell, digest
 from neatq_experiments.compare.figures import colours_of, legend_beside
 from neatq_experiments.compare.report import NO_VALUE, estimate_text, markdown_table, reference_of
+from neatq_experiments.compare.sizes import size_of_champion, sizes_table
 from neatq_experiments.compare.tables import Tables, read_pair, write_table
 from neatq_experiments.compare.variants import summary_of
 from neatq_experiments.seeds import Result, Results
@@ -35,18 +37,22 @@ _RETURN_LEGEND = """\
 Returns are sums of rewards of an episode; more is better. Square brackets hold 95 % \
 bootstrap intervals over seeds.
 
-- **steps**: of the environment, by all genomes of a run together, mean over seeds. Evaluations \
-and tests come on top.
+- **steps**: of the environment, by all genomes of a run together, or in all environments of an \
+anchor, mean over seeds. Evaluations and tests come on top.
 - **test return**: of the champion after the run, on episodes that nobody has seen. IQM is the \
 interquartile mean over seeds (Agarwal et al. 2021). A world of one's own has no test: there it is \
 the mean fitness.
 - **mean fitness**: mean return of the lives of all genomes, exploration included, over the last \
-tenth of the steps.
+tenth of the steps; of an anchor, mean return of the last 100 episodes of training, likewise.
 - **CPU s**: seconds of one core for 1,000 steps, evaluations and test included; in a world of \
 one's own for 1,000 ticks.
 - **difference**: of the test returns, mean over pairs of equal seeds. **probability of \
 improvement**: share of all pairs of seeds in which the arm is better than the reference; 0.5 is \
 no difference.
+- **size and speed of what comes out**: parameters of the network that acts after the run, mean \
+[least, most] over seeds; of an evolved network its enabled links, those from the bias included, \
+of an anchor all weights and biases of its actor. A forward pass is one observation on one thread, \
+the median of many, then over seeds. **of X's**: share of the mean of X's parameters.
 """
 
 
@@ -57,11 +63,13 @@ class ReturnPoint(NamedTuple):
         task: Where it ran.
         arm: What ran.
         seed: Of worlds and genomes.
-        generation: From 1; where genomes are replaced one at a time, as many lives as slots.
+        generation: From 1; where genomes are replaced one at a time, as many lives as slots. Of an
+            anchor, the number of the evaluation.
         steps: By all genomes since the beginning of the run.
         champion: Return of the champion when it was evaluated; in a world of one's own, of its
             best life.
-        mean_fitness: Mean return of the lives of all genomes.
+        mean_fitness: Mean return of the lives of all genomes; of an anchor, of the last 100
+            episodes of training.
     """
 
     task: str
@@ -86,6 +94,11 @@ class SeedReturn(NamedTuple):
         mean_fitness: Over the last tenth of the steps.
         cpu_seconds: For 1,000 steps, or ticks in a world of one's own. None if it was not measured.
         digest: Of the configuration; see `cells.digest`.
+        parameters: Of the network that acts; of a champion's genome, its enabled links. This and
+            the next columns are None where they were not noted.
+        nodes: Of the champion's genome; None of an anchor.
+        forward_us: Median time of a forward pass for one observation, microseconds.
+        settings: Where those of an anchor come from.
     """
 
     task: str
@@ -97,6 +110,10 @@ class SeedReturn(NamedTuple):
     mean_fitness: float
     cpu_seconds: float | None
     digest: str
+    parameters: int | None = None
+    nodes: int | None = None
+    forward_us: float | None = None
+    settings: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,6 +173,7 @@ def returns_of_seed(run: RunFolder, metrics: Columns, arena: int) -> Result:
         "episodes": int(own["episodes"][-1]),
         "test_return": None if tested is None else tested["arenas"][arena]["mean"],
         "mean_fitness": float(own["mean_fitness"][late].mean()),
+        **size_of_champion(run),
     }
 
 
@@ -168,10 +186,12 @@ def returns_of(cells: Sequence[Cell], results: Results) -> Returns:
             names = "generation", "steps", "champion", "fitness"
             columns = zip(*(one[name] for name in names), strict=True)
             points += [ReturnPoint(*key, *values) for values in columns]
-            rest = one["episodes"], one["test_return"], one["mean_fitness"]
-            outcomes.append(
-                SeedReturn(*key, one["all_steps"], *rest, one["cpu_seconds"], digest(cell.config))
-            )
+            names = "all_steps", "episodes", "test_return", "mean_fitness", "cpu_seconds"
+            values = [*(one[name] for name in names), digest(cell.config)]
+            values += [one.get(name) for name in ("parameters", "nodes", "forward_us")]
+            config = cell.config
+            source = config.source if isinstance(config, AnchorConfig) else ""
+            outcomes.append(SeedReturn(*key, *values, settings=source))
     return Returns(points=tuple(points), outcomes=tuple(outcomes))
 
 
@@ -195,6 +215,8 @@ def returns_report(returns: Returns) -> str:
         parts += [f"## {task}\n\n{picture}\n", _arms_table(returns, task)]
         if len(returns.arms(task)) > 1:
             parts.append(_differences_table(returns, task))
+        if any(one.parameters is not None for one in returns.outcomes if one.task == task):
+            parts.append(sizes_table(returns.outcomes_of, task, returns.arms(task)))
     parts.append(f"Every number and figure is made from `{RETURNS}` and `{RETURN_SEEDS}`.\n")
     return "\n".join(parts)
 
@@ -205,7 +227,8 @@ def _arms_table(returns: Returns, task: str) -> str:
         outcomes, scores = returns.outcomes_of(task, arm), _scores(returns, task, arm)
         fitness = np.array([one.mean_fitness for one in outcomes])
         cpu = [one.cpu_seconds for one in outcomes if one.cpu_seconds is not None]
-        cells = [arm, summary_of(arm), str(len(outcomes))]
+        settings = sorted({one.settings for one in outcomes} - {""})
+        cells = [arm, "; ".join([summary_of(arm), *settings]), str(len(outcomes))]
         cells.append(f"{np.mean([one.steps for one in outcomes]):,.0f}")
         for estimate in (statistics.iqm_estimate(scores), statistics.mean_estimate(scores)):
             cells.append(estimate_text(estimate, _FORM))

@@ -263,10 +263,12 @@ def _parsed(path: Path, text: str, kind: type[TableRow]) -> Iterable[TableRow]:
     lines = csv.reader(io.StringIO(text, newline=""))
     header = next(lines, [])
     types = get_type_hints(kind)
-    if header != list(types):
+    later: Any = getattr(kind, "_field_defaults", {})  # columns that older tables lack
+    if header not in ([*types], [name for name in types if name not in later]):
         raise RunFolderError(
             f"{path}: expected the columns {','.join(types)}; got {','.join(header)}"
         )
+    types = {name: types[name] for name in header}
     for number, line in enumerate(lines, 2):
         try:
             yield kind(*(_value(cell, of) for cell, of in zip(line, types.values(), strict=True)))

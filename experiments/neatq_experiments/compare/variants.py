@@ -1,4 +1,4 @@
-"""Which arms can be compared: those of the trainer, and variants of them, which are data."""
+"""Which arms can be compared: those of the trainer, variants of them (data), and anchors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from neatq_torch.kinds import ConfigError
-from neatq_trainers.arms import ARMS, preset
+from neatq_trainers.arms import ANCHORS, ARMS, preset
 from neatq_trainers.config import RunConfig
 from neatq_trainers.names import file_name
 from neatq_trainers.worlds import ArenaConfig
@@ -43,7 +43,7 @@ def register_variants(group: str, variants: Mapping[str, Variant]) -> None:
     Raises:
         ConfigError: If a name already stands for something else, or is no name for a folder.
     """
-    taken = {**ARMS, **GROUPS, **known_variants()}
+    taken = {**ARMS, **ANCHORS, **GROUPS, **known_variants()}
     for name, one in {group: dict(variants), **variants}.items():
         if name != file_name(name):
             raise ConfigError(
@@ -88,8 +88,8 @@ def config_of(task: str, name: str, env_kwargs: Mapping[str, Any] | None = None)
     variant = known_variants().get(name)
     if variant is None:
         raise ConfigError(
-            f"arms: expected some of {', '.join((*ARMS, *GROUPS))}; got {name!r} (neatq compare "
-            "--list says what they are and which variants there are)"
+            f"arms: expected some of {', '.join((*ARMS, *ANCHORS, *GROUPS))}; got {name!r} (neatq "
+            "compare --list says what they are and which variants there are)"
         )
     try:
         return preset(task, variant.base, env_kwargs=env_kwargs).changed(variant.changes)
@@ -98,9 +98,11 @@ def config_of(task: str, name: str, env_kwargs: Mapping[str, Any] | None = None)
 
 
 def arms_overview() -> str:
-    """The arms and variants, a line each."""
-    width = max(map(len, (*ARMS, *known_variants())))
+    """The arms, anchors and variants, a line each."""
+    width = max(map(len, (*ARMS, *ANCHORS, *known_variants())))
     lines = [f"  {name:{width}}  {arm.summary}" for name, arm in ARMS.items()]
+    lines.append("anchors, which one would otherwise take:")
+    lines += [f"  {name:{width}}  {summary}" for name, summary in ANCHORS.items()]
     for group, members in GROUPS.items():
         lines.append(f"{group}: {len(members)} variants")
         lines += [f"  {name:{width}}  {variant.summary}" for name, variant in members.items()]
@@ -108,6 +110,8 @@ def arms_overview() -> str:
 
 
 def summary_of(name: str) -> str:
-    """What an arm or a variant is; nothing if this version does not know it."""
+    """What an arm, variant or anchor is; nothing if this version does not know it."""
+    if name in ANCHORS:
+        return ANCHORS[name]
     known = (ARMS | known_variants()).get(name)
     return "" if known is None else known.summary

@@ -1,0 +1,1 @@
+"""What one would otherwise take, run beside the arms of `neatq compare`."""
