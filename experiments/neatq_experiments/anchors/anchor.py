@@ -122,7 +122,7 @@ def _refuse_missing(name: str) -> None:
     try:
         importlib.import_module("stable_baselines3")
     except ImportError as error:
-        words = f'{name} needs Stable-Baselines3: pip install "neatq_torch[sb3]"'
+        words = f'{name} needs Stable-Baselines3: pip install "stable-baselines3>=2.9,<3"'
         raise ConfigError(f"arm: {words} ({error})") from error
 
 
@@ -136,13 +136,12 @@ def _refuse_misfit(task: str, name: str, choices: int | None) -> None:
 
 
 class Pupil(Protocol):
-    """A policy that is being trained.
+    """A policy that is being trained."""
 
-    Attributes:
-        network: What acts after training: scaled observations [inputs] to actions.
-    """
-
-    network: nn.Module
+    @property
+    def network(self) -> nn.Module:
+        """What acts after training: scaled observations [inputs] to actions."""
+        ...
 
     def act(self, observation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Actions [rows, actions] without exploration, of observations [rows, inputs]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from typing import Any
@@ -106,7 +107,9 @@ class Model:
             kind, deviation = _NOISES[own.pop("noise_type")], own.pop("noise_std")
             own["action_noise"] = kind(0 * ones, deviation * ones)
         kind: Any = ALGORITHMS[algorithm]
-        self.own: Any = kind("MlpPolicy", env, seed=seed, device="cpu", **own)
+        with warnings.catch_warnings():  # some settings of the zoo have large minibatches
+            warnings.filterwarnings("ignore", "You have specified a mini-batch size", UserWarning)
+            self.own: Any = kind("MlpPolicy", env, seed=seed, device="cpu", **own)
         self._scaling = env if isinstance(env, VecNormalize) else None
         self.network = _acting(self.own)
 

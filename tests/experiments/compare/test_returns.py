@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from neatq_experiments.compare.returns import (
 )
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.cli import main
+from neatq_trainers.folder import RunFolderError
 
 TASK = "CartPole-v1"
 LITTLE: dict[str, Any] = {"max_episode_steps": 20}
@@ -64,6 +66,34 @@ def test_what_was_written_is_read(tmp_path: Path, compress: bool) -> None:
     returns = returns_of(rtneat=[100, None])
     write_returns(returns, tmp_path, compress=compress)
     assert read_returns(tmp_path) == returns
+
+
+def test_tables_without_the_sizes_of_later_versions_are_read(tmp_path: Path) -> None:
+    returns = returns_of(rtneat=[100, None])
+    write_returns(returns, tmp_path)
+    path = tmp_path / "return_seeds.csv"
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+    path.write_text("".join(",".join(line[:9]) + "\n" for line in lines))
+    assert lines[0][8:] == ["digest", "parameters", "nodes", "forward_us", "settings"]
+    assert read_returns(tmp_path) == returns
+    assert "Size and speed" not in returns_report(returns)
+    path.write_text("".join(",".join(line[:8]) + "\n" for line in lines))
+    with pytest.raises(RunFolderError, match=r"expected the columns task,.*,digest,parameters"):
+        read_returns(tmp_path)
+
+
+def test_sizes_are_means_with_the_least_and_the_most_and_shares_of_anchors() -> None:
+    returns = returns_of(mine=[1, 2], ppo=[3, 4], old=[5, 6])
+    sizes = {"mine": [(10, 7, 2.0), (30, 9, 4.0)], "ppo": [(4610, None, 20.0), (4610, None, 30.0)]}
+    outcomes = [
+        one._replace(**dict(zip(("parameters", "nodes", "forward_us"), values, strict=True)))
+        for arm, rows in sizes.items()
+        for one, values in zip(returns.outcomes_of(TASK, arm), rows, strict=True)
+    ]
+    text = returns_report(replace(returns, outcomes=(*outcomes, *returns.outcomes_of(TASK, "old"))))
+    assert "| mine | 20 [10, 30] | 8 [7, 9] | 3.0 | 0.43% |" in text
+    assert "| ppo | 4,610 [4,610, 4,610] | – | 25.0 | 100.00% |" in text  # noqa: RUF001
+    assert "| old | – | – | – | – |" in text  # noqa: RUF001
 
 
 def test_arms_have_equal_steps_unless_asked_for_another_length() -> None:
