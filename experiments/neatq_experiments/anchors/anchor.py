@@ -36,6 +36,8 @@ RECENT = 100
 SB3 = "sb3-"
 _BOXES, _CHOICES = ("sb3-sac", "sb3-td3"), ("sb3-dqn",)
 """The anchors that know one kind of actions only."""
+_OF_ARMS = ("slots", "every", "evaluated")
+"""Settings of worlds that are about genomes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,8 +78,9 @@ class AnchorConfig:
         return replace(self, **{unit: changes[unit] for unit in LENGTHS[:2] if unit in changes})
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON values that say all but names, source and length."""
+        """JSON values that say all that counts in a run but its length."""
         world = msgspec.to_builtins(self.world)
+        world = {name: one for name, one in world.items() if name not in _OF_ARMS}
         return {"anchor": self.arm, "world": world, "settings": dict(self.settings)}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -225,6 +226,8 @@ def test_other_settings_are_another_cell() -> None:
     assert isinstance(config, AnchorConfig)
     longer = config.changed({"steps": 400})
     assert digest(longer) == digest(config)
+    fewer = AnchorConfig(**{**vars(config), "world": replace(config.world, slots=2)})
+    assert digest(fewer) == digest(config)
     other = AnchorConfig(**{**vars(config), "settings": {**config.settings, "gamma": 0.9}})
     assert digest(other) != digest(config)
     assert digest(anchor_config(CARTPOLE, "sb3-dqn")) != digest(anchor_config(CARTPOLE, "ppo"))
