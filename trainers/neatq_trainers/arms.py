@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 import gymnasium
 
-from neatq_envs.gymnasium_task import PREFIX
+from neatq_envs.gymnasium_task import PREFIX, assignments
 from neatq_envs.scenario import TASKS, find_scenario
 from neatq_torch.evolution import (
     OPENNERO,
@@ -208,8 +209,9 @@ def preset(
     """The configuration of an arm on a task.
 
     Args:
-        task: A built-in task, the path of a scenario file, gym:ID or the name of a registered
-            world. What a file says about sensors and reward is kept; what it leaves out is the
+        task: A built-in task, the path of a scenario file, gym:ID, gym:ID:name=value (an argument
+            of the environment, as in `env_kwargs`) or the name of a registered world. What a file
+            says about sensors and reward is kept; what it leaves out is the
             arm's.
         arm: One of `ARMS`.
         env_kwargs: Keys of the scenario, or arguments of the environment, with other values.
@@ -309,7 +311,10 @@ def _world(task: str, arm: Arm, kwargs: Mapping[str, Any]) -> WorldConfig:
             f"worker makes environments of its own, by their id (explained in {WORLDS_PAGE})"
         )
     if task.startswith(PREFIX):
-        return GymnasiumConfig(id=task.removeprefix(PREFIX), kwargs=dict(kwargs), slots=arm.slots)
+        # A name with "=" cannot be an id's, so that what follows the colon is an argument.
+        name, *given = re.split(r":(?=[a-zA-Z_]\w*=)", task.removeprefix(PREFIX))
+        own = {**assignments(given), **kwargs}
+        return GymnasiumConfig(id=name, kwargs=own, slots=arm.slots)
     known = task in TASKS or Path(task).suffix == ".json"
     if not known and find_env(task):
         return EnvConfig(name=task, kwargs=dict(kwargs))

@@ -27,8 +27,9 @@ from neatq_experiments.compare.variants import PAPER_ARMS
 from neatq_experiments.forward import forward_us
 from neatq_experiments.seeds import SeedTask
 from neatq_torch.kinds import ConfigError
-from neatq_trainers.arms import ANCHORS
+from neatq_trainers.arms import ANCHORS, preset
 from neatq_trainers.cli import main
+from neatq_trainers.worlds import GymnasiumConfig
 
 CARTPOLE = "gym:CartPole-v1"
 SHORT = {"max_episode_steps": 50}
@@ -255,6 +256,17 @@ def test_old_results_have_no_sizes() -> None:
 def test_what_does_not_fit_is_refused(task: str, name: str, pattern: str) -> None:
     with pytest.raises(ConfigError, match=pattern):
         grid([task], [name], quick=False)
+
+
+def test_a_task_has_its_arguments_in_its_name() -> None:
+    (cell,) = grid(
+        ["gym:CartPole-v1:max_episode_steps=9:sutton_barto_reward=true"], ["ppo"], quick=True
+    )
+    assert isinstance(cell.config.world, GymnasiumConfig)
+    assert cell.config.world.id == "CartPole-v1"
+    assert cell.config.world.kwargs == {"max_episode_steps": 9, "sutton_barto_reward": True}
+    assert cell.name.startswith("CartPole-v1-max_episode_steps-9-sutton_barto_reward-true-ppo-")
+    assert preset("gym:my_module:Mine-v0", "neat").world.label == "my_module:Mine-v0"
 
 
 def test_an_anchor_has_no_generations() -> None:
