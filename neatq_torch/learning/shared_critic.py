@@ -189,10 +189,9 @@ class SharedCritic:
         who = torch.randint(len(outputs), (rows,), generator=self.generator).to(outputs.device)
         every = torch.arange(rows, device=outputs.device)
         action = self.unit(self.heads.best(outputs[who, every]))
-        noise = (
-            torch.randn(action.shape, generator=self.generator).to(action) * self.config.smoothing
-        )
-        action = (action + noise.clamp(-SMOOTHING_LIMIT, SMOOTHING_LIMIT)).clamp(-1, 1)
+        noise = self.config.smoothing * torch.randn(action.shape, generator=self.generator)
+        action = action + noise.clamp(-SMOOTHING_LIMIT, SMOOTHING_LIMIT).to(action)
+        action = action.clamp(-1, 1)
         return self.target(torch.cat([observation, action], -1)).amin(0)
 
     @torch.no_grad()
@@ -305,25 +304,32 @@ class CriticLearner(Learner):
         ahead = over_horizon(batch, self.config.horizon, self.config.discount)
         for arena, critic in enumerate(self.critics):
             critic.remember(ahead[arena], batch[arena])
-        error = torch.zeros(self.network.shape)
+        errors: dict[int, Tensor] = {}
         with self._on_device(self.network):
             while learning := [arena for arena, one in enumerate(self.critics) if one.due >= 1]:
-                self._step(learning, error)
+                errors |= self._step(learning)
+        error = torch.zeros(self.network.shape)
+        for arena, last in errors.items():  # only here the host waits for the device
+            error[arena] = last
         return error
 
-    def _step(self, learning: Sequence[int], error: Tensor) -> None:
-        """One step of the critics of some arenas, and of their networks where that is due."""
+    def _step(self, learning: Sequence[int]) -> dict[int, Tensor]:
+        """One step of the critics of some arenas, and of their networks where that is due.
+
+        Returns the error of each critic.
+        """
         size = self.config.size
         drawn = {arena: self._drawn(arena, size) for arena in learning}
         following = {arena: rows["next_observation"] for arena, rows in drawn.items()}
         with torch.no_grad():
             outputs = self._outputs(following)
-        for arena, rows in drawn.items():
-            error[arena] = self.critics[arena].step(rows, outputs[arena])
+        errors = {
+            arena: self.critics[arena].step(rows, outputs[arena]) for arena, rows in drawn.items()
+        }
         every = self.config.every
         taught = [one for one in learning if every and self.critics[one].steps % every == 0]
         if not taught:
-            return
+            return errors
         size = self.config.policy_size
         seen = {arena: self._drawn(arena, size, "observation")["observation"] for arena in taught}
         outputs = self._outputs(seen)
@@ -334,6 +340,7 @@ class CriticLearner(Learner):
         slots = self.network.shape[1]
         for arena in taught:
             self._move(self.network.weight, gradient, slice(arena * slots, (arena + 1) * slots))
+        return errors
 
     def _drawn(self, arena: int, size: int, *names: str) -> Saved:
         """Columns of transitions of an arena, with observations as they are read."""
