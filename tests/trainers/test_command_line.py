@@ -172,6 +172,12 @@ def test_bad_input_is_answered_in_one_line(neatq: Say, arguments: list[str], pat
             "network.double_activation: .* no networks",
         ),
         ([*CART_POLE, "--network.candidates", "3"], "network.candidates: .* has 2 actions to choo"),
+        ([*CART_POLE, "--learner.noise", "0.2"], "learner.noise: .* which have no noise"),
+        ([*CART_POLE, "--network.value-range", "0", "1"], "network.value_range: .* the critic has"),
+        (
+            ["--task", "gym:Pendulum-v1", "--learner.epsilon", "0.2"],
+            "learner.epsilon: .* by learner.noise",
+        ),
         ([*CART_POLE, "--learner", "td", "--learner.wires"], "learner.wires: .* a box of actions"),
         ([*CART_POLE, "--population.novelty", "0.5"], "population.novelty: .* nobody stands at a"),
         (

@@ -31,7 +31,7 @@ from neatq_torch.learning import (
     TraceConfig,
     learner_kinds,
 )
-from neatq_trainers.config import LIFE_TICKS, NetworkConfig, RunConfig
+from neatq_trainers.config import AS_IT_COMES, LIFE_TICKS, NetworkConfig, RunConfig
 from neatq_trainers.worlds import (
     ArenaConfig,
     EnvConfig,
@@ -273,6 +273,8 @@ def _with_kinds(config: RunConfig, population: str | None, learner: str | None) 
         parts["learner"] = learner_kinds.config(learner)()
         if not isinstance(config.world, ArenaConfig):
             parts["learner"] = _having(parts["learner"], normalize_return=False, discount=0.99)
+        if isinstance(parts["learner"], AS_IT_COMES):
+            parts["network"] = replace(config.network, normalization=None)
     return replace(config, **parts)
 
 

@@ -80,6 +80,8 @@ class NetworkConfig:
             raise ConfigError(f"activation: expected {expected}; got {self.activation!r}")
 
 
+AS_IT_COMES = TDConfig | ReplayConfig | TraceConfig | TableConfig
+"""Learners that read observations as they come, not normalised."""
 _OF_NETWORKS = NoLearningConfig | TDConfig | ReplayConfig | CriticConfig | TraceConfig
 """Learners that need networks."""
 
@@ -196,7 +198,7 @@ class RunConfig:
             raise ConfigError(
                 f"network.normalization: expected None on {self.task}; it is for Gymnasium tasks"
             )
-        if isinstance(self.learner, TDConfig | ReplayConfig | TraceConfig | TableConfig):
+        if isinstance(self.learner, AS_IT_COMES):
             raise ConfigError(
                 "network.normalization: expected None; the learner "
                 f"{learner_kinds.name_of(self.learner)} reads observations as they come (none and "

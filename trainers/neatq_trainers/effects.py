@@ -15,7 +15,7 @@ from neatq_torch.evolution import (
     SpeciesConfig,
 )
 from neatq_torch.kinds import ConfigError
-from neatq_torch.learning import ReplayConfig, TDConfig, TraceConfig
+from neatq_torch.learning import CriticConfig, ReplayConfig, TDConfig, TraceConfig
 from neatq_trainers.config import NetworkConfig, RunConfig
 from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig
 
@@ -46,7 +46,21 @@ def without_effect(config: RunConfig) -> dict[str, str]:
     if choices is not None:
         useless["network.candidates"] = f"{many}, and a network an output for each"
         useless["learner.wires"] = f"{many}, and wires need a box of actions"
+    if isinstance(config.learner, CriticConfig):
+        useless |= _of_critic(config.learner, None if choices is None else many)
     return useless
+
+
+def _of_critic(own: CriticConfig, many: str | None) -> dict[str, str]:
+    """Settings of a critic; `many` says how many actions there are, None that they are a box."""
+    useless = {"network.value_range": "the critic has the Q-values, and its own range for them"}
+    if many is None:
+        words = "actions in a box are explored by learner.noise"
+        return useless | dict.fromkeys(("learner.epsilon", "learner.max_hold_ticks"), words)
+    words = f"{many}, which have no noise (learner.epsilon explores)"
+    return useless | dict.fromkeys(
+        ("learner.noise", "learner.persistence", "learner.smoothing"), words
+    )
 
 
 def _of_network(config: RunConfig) -> dict[str, str]:
