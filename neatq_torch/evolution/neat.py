@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from neatq_torch.evolution.parsimony import enabled_links, front_ranks, lowest_good
 from neatq_torch.evolution.population import Generational, Replacement, Start
 from neatq_torch.evolution.reproduction import NEAT_2002, ReproductionConfig
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
@@ -54,6 +55,9 @@ class NEATConfig:
         start: what founders look like.
         start_hidden: hidden nodes of "layered" founders, and the most that "random" ones have.
         episodes: episodes of a life; fitness is the mean over them.
+        parsimony: the champion is the smallest network whose fitness is within this share of the
+            best one, in [0, 1). Who breeds is then decided by size, too: the better half is ranked
+            by the fronts of high fitness and few enabled links. None: size does not matter.
 
     Example:
         >>> config = NEATConfig(survival_share=0.3, start="layered")
@@ -71,12 +75,13 @@ class NEATConfig:
     start: Start = "minimal"
     start_hidden: int = 10
     episodes: int = 1
+    parsimony: float | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, survival_share="[0, 1]", elite_members="[0, inf]", start=Start)
         for name in ("stagnation_generations", "refocus_generations", "start_hidden", "episodes"):
             check_fields(self, **{name: "[1, inf]"})
-        check_fields(self, innovations=Numbering, representative=Representative)
+        check_fields(self, parsimony="[0, 1)", innovations=Numbering, representative=Representative)
 
 
 class NEAT(Generational):
@@ -132,11 +137,14 @@ class NEAT(Generational):
             ValueError: the shape is not [slots] or a fitness, which may be negative, not finite.
         """
         mend = " Give a genome that could not be judged the lowest fitness of the task."
-        fitness = checked("fitness", fitness, mend=mend, slots=len(self.genomes))
+        earned = checked("fitness", fitness, mend=mend, slots=len(self.genomes))
+        fitness = earned
+        if self.config.parsimony is not None:
+            fitness = front_ranks(earned, enabled_links(self.genomes))
         for species in self.species:
             species.rank(fitness)
         champions = fitness[[species.members[0] for species in self.species]]
-        self._note(champions)
+        self._note(np.array([self._reached(one.members, earned) for one in self.species]))
         counts = self._offspring_counts(shared_fitness(fitness, self.species), champions)
         children: list[Child] = []
         for species, count in zip(self.species, counts.tolist(), strict=True):
@@ -145,6 +153,15 @@ class NEAT(Generational):
         self._settle([genome for genome, _ in children])
         slots = enumerate(zip(children, removed, strict=True))
         return [Replacement(slot, one, old.genome_id, ids) for slot, ((one, ids), old) in slots]
+
+    def _reached(self, members: NDArray[np.int64], fitness: NDArray[np.float64]) -> float:
+        """What a species must raise, lest it stagnate: its best fitness, or a good one's size."""
+        best, share = float(fitness[members].max()), self.config.parsimony
+        if share is None:
+            return best
+        good = members[fitness[members] >= lowest_good(best, share)]
+        links = enabled_links([self.genomes[slot] for slot in good]).min()
+        return best + share * abs(best) / (1 + links)
 
     def _note(self, champions: NDArray[np.float64]) -> None:
         """Bring the records of the population and of all [species] up to date."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from neatq_torch.evolution.parsimony import Floats, enabled_links, good_ranks, shrinking
 from neatq_torch.evolution.reproduction import NEAT_2002, Parent, offspring
 from neatq_torch.evolution.species import Species
 from neatq_torch.evolution.trials import Kept, checked, weighted
@@ -198,6 +200,25 @@ class Population(Kept, ABC):
         """Float64 [slots], by which eligible genomes are judged."""
 
     @property
+    def merit(self) -> NDArray[np.float64]:
+        """Float64 [slots], the champion has most: fitness, or with parsimony `good_ranks`."""
+        share = getattr(self.config, "parsimony", None)
+        return self.fitness if share is None else self.ranked(partial(good_ranks, share=share))
+
+    def ranked(self, rank: Callable[..., Floats]) -> Floats:
+        """Ranks [slots] of eligible genomes, by their returns and enabled links; others have 0."""
+        slots, ranks = np.flatnonzero(self.eligible), np.zeros(len(self.genomes))
+        if slots.size:
+            links = enabled_links([self.genomes[slot] for slot in slots])
+            ranks[slots] = rank(self.mean_returns[slots], links)
+        return ranks
+
+    @property
+    def mean_returns(self) -> NDArray[np.float64]:
+        """Float64 [slots], weighted reward of a life of each eligible genome, on average."""
+        return self.fitness
+
+    @property
     def returns(self) -> NDArray[np.float64]:
         """Float64 [slots], weighted reward of the last closed life; NaN before the first."""
         return self.fitness
@@ -209,9 +230,9 @@ class Population(Kept, ABC):
 
     @property
     def champion(self) -> int | None:
-        """Slot of the fittest eligible genome, None if nobody is eligible."""
+        """Slot of the eligible genome with most `merit`, None if nobody is eligible."""
         eligible = np.flatnonzero(self.eligible)
-        return int(eligible[np.argmax(self.fitness[eligible])]) if eligible.size else None
+        return int(eligible[np.argmax(self.merit[eligible])]) if eligible.size else None
 
     def ask(self) -> list[Genome]:
         """The genomes alive, for a loop of one's own: judge them, then `tell`."""
@@ -276,7 +297,10 @@ class Population(Kept, ABC):
     ) -> tuple[Genome, tuple[int, ...]]:
         """An offspring of the genomes in one or two slots, and their ids, the fitter one first."""
         parents = tuple(Parent(self.genomes[slot], float(fitness[slot])) for slot in slots)
-        means = self.config.reproduction, self.ledger, self.rng
+        reproduction = self.config.reproduction
+        if getattr(self.config, "parsimony", None) is not None:
+            reproduction = shrinking(reproduction)
+        means = reproduction, self.ledger, self.rng
         number = self.next_genome_id
         genome = offspring(parents, *means, genome_id=number, interspecies=interspecies)
         self.next_genome_id += 1

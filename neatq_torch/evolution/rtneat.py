@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neatq_torch.evolution.novelty import Novelty, mixed
+from neatq_torch.evolution.parsimony import front_ranks
 from neatq_torch.evolution.population import Data, LayeredFounders, Population, Replacement
 from neatq_torch.evolution.reproduction import OPENNERO, ReproductionConfig, choose_parents
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
@@ -36,6 +37,9 @@ class RtNEATConfig:
         novelty: weight of novelty beside fitness in who lives and who breeds, in (0, 1]; None for
             fitness alone.
         founders: what the first genomes look like; None: no hidden nodes.
+        parsimony: the champion is the smallest network whose average return is within this share of
+            the best one, in [0, 1), and who lives and breeds is decided by return and size; see
+            `NEATConfig`. None: size does not matter.
 
     Example:
         >>> config = RtNEATConfig(minimum_life_ticks=500)
@@ -48,10 +52,11 @@ class RtNEATConfig:
     ineligible_fraction: float = 0.5
     novelty: float | None = None
     founders: LayeredFounders | None = None
+    parsimony: float | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, minimum_life_ticks="[1, inf]", minimum_life_episodes="[1, inf]")
-        check_fields(self, ineligible_fraction="(0, 1]", novelty="(0, 1]")
+        check_fields(self, ineligible_fraction="(0, 1]", novelty="(0, 1]", parsimony="[0, 1)")
 
 
 def interval_ticks(life_ticks: int, slots: int, ineligible_fraction: float) -> float:
@@ -131,6 +136,11 @@ class RtNEAT(Population):
         return relative_fitness(self.trials.averages, self.eligible, self.reward_weights)
 
     @property
+    def mean_returns(self) -> NDArray[np.float64]:
+        """See `Population`; averaged as for the fitness."""
+        return weighted(self.trials.averages, self.reward_weights)
+
+    @property
     def returns(self) -> NDArray[np.float64]:
         """See `Population`; that of an episode where a trial has episodes, else of a trial."""
         latest = weighted(self.trials.latest, self.reward_weights)
@@ -143,12 +153,17 @@ class RtNEAT(Population):
 
     @property
     def score(self) -> NDArray[np.float64]:
-        """Float64 [slots] >= 0, by which robots live and breed: fitness, mixed with novelty."""
+        """Float64 [slots] >= 0, by which robots live and breed: fitness, mixed with novelty.
+
+        With parsimony it is not fitness that counts, but `front_ranks`.
+        """
+        parsimony = self.config.parsimony is not None
+        fitness = self.ranked(front_ranks) if parsimony else self.fitness
         if self.novelty is None or self.config.novelty is None:
-            return self.fitness
+            return fitness
         eligible = self.eligible
         novelty = self.novelty.of(np.flatnonzero(eligible))
-        return mixed(self.fitness, novelty, eligible, self.config.novelty)
+        return mixed(fitness, novelty, eligible, self.config.novelty)
 
     @property
     def species(self) -> list[Species]:

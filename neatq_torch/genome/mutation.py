@@ -14,6 +14,7 @@ from neatq_torch.genome.innovation import InnovationLedger
 from neatq_torch.genome.rules import (
     ACTIVATIONS,
     LINK_FIELDS,
+    NODE_FIELDS,
     NodeKind,
     check_innovations,
     check_weights,
@@ -56,6 +57,8 @@ class MutationConfig:
         hidden_activation: activation of new nodes.
         toggle_enable_prob: probability that one link is enabled or disabled.
         reenable_prob: probability that the first disabled link is enabled.
+        remove_link_prob: probability that an enabled link is removed for good where there is no
+            new node or link. None: 0.1 where the population's `parsimony` is set, else 0.
     """
 
     add_node_prob: float = 0.03
@@ -76,6 +79,7 @@ class MutationConfig:
     hidden_activation: str = "sigmoid"
     toggle_enable_prob: float = 0.0
     reenable_prob: float = 0.0
+    remove_link_prob: float | None = None
 
     def __post_init__(self) -> None:
         intervals = {"_prob": "[0, 1]", "_power": "[0, inf)", "_tries": "[1, inf]"}
@@ -94,6 +98,8 @@ def mutate(
         return add_node(genome, config, ledger, rng)
     if rng.random() < config.add_link_prob:
         return add_link(genome, config, ledger, rng)
+    if config.remove_link_prob and rng.random() < config.remove_link_prob:
+        return remove_link(genome, rng)
     if rng.random() < config.link_weights_prob:
         genome = mutate_weights(genome, config, rng)
     if rng.random() < config.toggle_enable_prob:
@@ -275,6 +281,25 @@ def toggle_enable(genome: Genome, rng: np.random.Generator) -> Genome:
     enabled[chosen] = not enabled[chosen]
     leaving = genome.link_source == genome.link_source[chosen]
     return genome.unchecked(link_enabled=enabled) if (enabled & leaving).any() else genome
+
+
+def remove_link(genome: Genome, rng: np.random.Generator) -> Genome:
+    """The genome without one of its enabled links, be it the last of an input or output.
+
+    Hidden nodes that no link leaves any more, but to themselves, go with the links into them.
+    """
+    enabled = np.flatnonzero(genome.link_enabled)
+    if not enabled.size:
+        return genome
+    kept = np.arange(genome.link_enabled.size) != enabled[rng.integers(enabled.size)]
+    onwards = genome.source_index != genome.target_index
+    nodes, left = np.ones(genome.node_id.size, dtype=bool), -1
+    while left != (left := np.count_nonzero(nodes)):
+        nodes = genome.node_kind != NodeKind.HIDDEN
+        nodes[genome.source_index[kept & onwards]] = True
+        kept &= nodes[genome.source_index] & nodes[genome.target_index]
+    links = {name: getattr(genome, name)[kept] for name in LINK_FIELDS}
+    return genome.unchecked(**links, **{name: getattr(genome, name)[nodes] for name in NODE_FIELDS})
 
 
 def reenable(genome: Genome) -> Genome:

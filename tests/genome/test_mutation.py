@@ -22,6 +22,7 @@ from neatq_torch.genome.mutation import (
     mutate_weights,
     mutated_weights,
     reenable,
+    remove_link,
     toggle_enable,
 )
 
@@ -274,6 +275,73 @@ def test_toggling_and_reenabling_happen_if_asked_for(small: Genome) -> None:
         config = replace(quiet, **{extra: 1.0})
         child = mutate(off, config, ledger, np.random.default_rng(0))
         assert child.link_enabled.sum() == 1
+
+
+def test_removing_takes_each_enabled_link_as_often(small: Genome) -> None:
+    rng = np.random.default_rng(0)
+    off = small.replaced(link_enabled=[True, False, True, True, True])
+    gone = [
+        tuple(sorted(set(off.link_innovation) - set(remove_link(off, rng).link_innovation)))
+        for _ in range(2000)
+    ]
+    # With link 5 the hidden node goes, whose only link it is, and link 4 into it.
+    shares = {links: gone.count(links) / 2000 for links in set(gone)}
+    assert shares == pytest.approx(dict.fromkeys([(1,), (3,), (4,), (4, 5)], 0.25), abs=0.04)
+
+
+def test_hidden_nodes_that_no_link_leaves_go_one_after_the_other(
+    make_genome: Callable[..., Genome],
+) -> None:
+    chain = [(1, 1, 6, 1.0), (2, 6, 7, 1.0), (3, 7, 4, 1.0), (4, 2, 6, 1.0), (5, 7, 7, 1.0)]
+    loop = {"link_recurrent": [False] * 4 + [True]}
+    genome = make_genome(chain, hidden=(6, 7), **loop)
+    only = genome.replaced(link_enabled=[False, False, True, False, False])
+    child = remove_link(only, np.random.default_rng(0))
+    assert (child.link_innovation.size, child.node_id.tolist()) == (0, [1, 2, 3, 4])
+    assert Genome.from_json(child.to_json()).to_json() == child.to_json()
+    # Disabled links still lead somewhere: they may be enabled again.
+    first = genome.replaced(link_enabled=[True, False, False, False, False])
+    child = remove_link(first, np.random.default_rng(0))
+    assert child.link_innovation.tolist() == [2, 3, 4, 5]
+    assert child.node_id.tolist() == genome.node_id.tolist()
+
+
+def test_a_genome_loses_its_last_link_and_then_stays_as_it_is(small: Genome) -> None:
+    rng, genome = np.random.default_rng(0), small
+    while genome.link_innovation.size:
+        genome = remove_link(genome, rng)
+    assert genome.node_id.tolist() == [1, 2, 3, 4]
+    assert remove_link(genome, rng) is genome
+
+
+def test_a_removed_link_comes_back_with_its_number(small: Genome) -> None:
+    ledger, rng = InnovationLedger.for_genomes([small]), np.random.default_rng(0)
+    config = MutationConfig(recurrent_link_prob=0.0, forward_from_outputs=False, new_link_tries=99)
+    gone = small.replaced(
+        **{name: getattr(small, name)[1:] for name in vars(small) if name.startswith("link_")}
+    )
+    seen = [add_link(gone, config, ledger, rng) for _ in range(20)]
+    (back, *_) = [one for one in seen if 1 in one.link_innovation]
+    assert (back.link_source[0], back.link_target[0], back.link_weight[0]) == (1, 4, 0.5)
+
+
+def test_removing_happens_as_often_as_configured(small: Genome) -> None:
+    ledger, rng = InnovationLedger.for_genomes([small]), np.random.default_rng(0)
+    config = MutationConfig(add_node_prob=0.0, add_link_prob=0.5, remove_link_prob=0.4)
+    children = [mutate(small, config, ledger, rng) for _ in range(2000)]
+    shrunk = np.array([child.link_innovation.size < 5 for child in children])
+    assert shrunk.mean() == pytest.approx(0.5 * 0.4, abs=0.03)
+
+
+@pytest.mark.parametrize("never", [None, 0.0])
+def test_where_nothing_is_removed_no_chance_is_drawn_for_it(
+    small: Genome, never: float | None
+) -> None:
+    ledger, rng = InnovationLedger.for_genomes([small]), np.random.default_rng(0)
+    mutate(small, MutationConfig(link_weights_prob=0.0, remove_link_prob=never), ledger, rng)
+    other = np.random.default_rng(0)
+    other.random(5)  # node, link, weights, toggle, re-enable
+    assert rng.random() == other.random()
 
 
 def test_mutation_leaves_the_parent_as_it_was(small: Genome) -> None:

@@ -49,8 +49,8 @@ DEFAULTS = {
     ("learner", "critic"): "7b63066c3b46",
     ("learner", "traces"): "27a1f8b7d1a8",
     ("learner", "table"): "473a57fb72fd",
-    ("population", "rtneat"): "d4aabaeee5d2",
-    ("population", "neat"): "5476e51f239b",
+    ("population", "rtneat"): "bcb3beb3377b",
+    ("population", "neat"): "ae8a85d7e691",
     ("population", "fixed"): "6ebd5daf6c3f",
 }
 """Of the settings of a kind of part, as JSON."""

@@ -52,6 +52,7 @@ WALL: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "target weights": ("neatq", {"learner.target_tau": 0.1}),
     "novelty": ("neatq", {"population.novelty": 0.5}),
+    "parsimony": ("neatq", {"population.parsimony": 0.05}),
     "genes": ("neatq", {"learner.genes": 0.5}),
     "generations of replay": ("neat", {"learner.kind": "replay", "network.candidates": 3}),
 }
@@ -61,6 +62,7 @@ WALK: dict[str, tuple[str, dict[str, Any]]] = {
     "neat+q": ("neat+q", {}),
     "qnetwork": ("qnetwork", {}),
     "generations of replay": ("neat+q", {"learner.kind": "replay"}),
+    "parsimony": ("neat", {"population.parsimony": 0.05}),
     "rtneat": ("rtneat", {}),
     "neatq": ("neatq", {}),
     "described": ("described", {}),

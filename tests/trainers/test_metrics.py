@@ -12,6 +12,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from neatq_torch.genome import Genome, layered_genome
 from neatq_torch.learning import LearningGenes
 from neatq_trainers.build import build
 from neatq_trainers.callbacks import Callback
@@ -19,6 +20,7 @@ from neatq_trainers.config import RunConfig
 from neatq_trainers.metrics import (
     DistanceMetrics,
     DistanceRow,
+    ReturnMetrics,
     ReturnRow,
     csv_line,
     header,
@@ -262,3 +264,91 @@ def test_where_genomes_are_replaced_one_by_one_closed_trials_make_rows_and_birth
     assert metrics["steps"][-1] <= watch.steps
     assert folder.read()["done"]["generations"] == metrics["generation"][-1]
     assert (metrics["steps"] % 8 == 0).all(), "all live all the time"
+
+
+# ------------------------------------------------------------------------- champions by parsimony
+
+FULL = layered_genome(2, 1, rng=np.random.default_rng(0), hidden=2)
+
+
+class Crowns:
+    """An arena in which genomes of so many links are evaluated with such returns."""
+
+    def __init__(self, parsimony: float | None = 0.1) -> None:
+        config = SimpleNamespace(parsimony=parsimony)
+        self.population = SimpleNamespace(generations=0, config=config, genomes=[])
+        self.metrics = ReturnMetrics(cast(Any, [self.population]), (1, 9))
+
+    def evaluate(self, *genomes: tuple[int, float]) -> tuple[int, float]:
+        """Links and return of each; those of the champion afterwards."""
+        own: list[Genome] = [FULL.replaced(link_enabled=np.arange(9) < n) for n, _ in genomes]
+        self.population.genomes, self.population.generations = own, self.population.generations + 1
+        parts = {"populations": [self.population], "normalization": None, "world": None}
+        run = SimpleNamespace(genome=lambda _, slot: own[slot], **parts)
+        scores = np.array([score for _, score in genomes])
+        self.metrics._crown(cast(Run, run), 0, list(range(len(own))), scores)
+        champion = self.metrics.champions[0]
+        assert champion is not None
+        return int(champion.genome.link_enabled.sum()), champion.score
+
+
+def test_the_champion_is_the_smallest_within_the_share_of_the_best() -> None:
+    crowns = Crowns()
+    assert crowns.evaluate((9, 100.0), (5, 90.0), (3, 89.0), (6, 95.0)) == (5, 90.0)
+    assert crowns.evaluate((5, 91.0), (6, 100.0)) == (5, 91.0)  # of as small ones the better
+    assert crowns.evaluate((6, 99.0), (1, 0.0)) == (5, 91.0)
+    assert crowns.evaluate((4, 90.5)) == (4, 90.5)
+
+
+def test_champions_do_not_get_worse_step_by_step() -> None:
+    crowns = Crowns()
+    assert crowns.evaluate((9, 100.0)) == (9, 100.0)
+    assert crowns.evaluate((8, 91.0)) == (8, 91.0)
+    assert crowns.evaluate((7, 83.0)) == (8, 91.0)  # within a tenth of 91, not of 100
+    assert crowns.evaluate((9, 110.0)) == (9, 110.0)  # 99 are good enough now
+    assert crowns.evaluate((2, 98.9)) == (9, 110.0)
+
+
+def test_of_negative_returns_those_a_share_below_are_good_enough() -> None:
+    crowns = Crowns()
+    assert crowns.evaluate((9, -100.0), (5, -110.0), (3, -110.5)) == (5, -110.0)
+
+
+def test_a_checkpoint_keeps_the_best_return() -> None:
+    before, after = Crowns(), Crowns()
+    before.evaluate((9, 100.0), (5, 90.0))
+    after.metrics.load_state_dict(before.metrics.state_dict())
+    assert after.evaluate((4, 85.0)) == (5, 90.0)
+
+
+def test_without_parsimony_the_best_is_champion_and_nothing_more_is_kept() -> None:
+    crowns = Crowns(parsimony=None)
+    assert crowns.evaluate((9, 100.0), (5, 99.0)) == (9, 100.0)
+    assert crowns.evaluate((9, 100.0)) == (9, 100.0)
+    champion = crowns.metrics.champions[0]
+    assert champion is not None
+    assert champion.generation == 2, "of equally good ones the later"
+    assert "best" not in crowns.metrics.state_dict()
+
+
+@pytest.mark.parametrize("arm", ["neat", "rtneat"])
+def test_the_best_is_evaluated_beside_the_smallest(
+    arm: str, tiny_walk: Tiny, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    size = {"world.slots": 4, "world.evaluated": 3}
+    config = tiny_walk(arm, **{"population.parsimony": 0.5, **size})
+    run = build(config, facts=facts_of(config.world, 0.99))
+    run.world.close()
+    population, seen = run.populations[0], []
+    one = population.genomes[2]
+    population.genomes[2] = one.replaced(link_enabled=np.arange(one.link_enabled.size) < 1)
+    for _ in range(2):  # episodes
+        population.record(np.array([1.0, 4.0, 3.0, 3.5])[:, None, None], np.ones((4, 1), bool))
+
+    def returns(genomes: list[Genome], *_: Any, **__: Any) -> np.ndarray:
+        seen.extend(genome.genome_id for genome in genomes)
+        return np.ones((len(genomes), 1))
+
+    monkeypatch.setattr(run.world, "returns", returns)
+    cast(ReturnMetrics, run.metrics)._evaluated(run, 0)
+    assert seen == [population.genomes[slot].genome_id for slot in (1, 2, 3)]

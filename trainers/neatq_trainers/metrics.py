@@ -12,6 +12,7 @@ from torch import Tensor
 from neatq_envs.episodes import EVALUATION, episode_seeds
 from neatq_envs.random_play import ObservationScaling
 from neatq_torch.evolution import Population
+from neatq_torch.evolution.parsimony import lowest_good
 from neatq_torch.genome import Genome
 from neatq_trainers.config import RunConfig
 from neatq_trainers.run import Champion, Run, State
@@ -133,7 +134,7 @@ class DistanceMetrics:
         """Between generations nobody is the fittest: keep the champion of the one before."""
         for arena, population in enumerate(run.populations):
             if population.due():
-                slot = int(np.argmax(population.fitness))
+                slot = int(np.argmax(population.merit))
                 genome, score = run.genome(arena, slot), float(population.fitness[slot])
                 self.champions[arena] = Champion(genome, score, population.generations)
 
@@ -190,8 +191,10 @@ class ReturnMetrics:
     """In worlds of returns: a row when an arena has lived through one more generation.
 
     On Gymnasium tasks the fittest are now and then evaluated on held-out episodes, and the champion
-    is the one that was evaluated best; elsewhere it is the one with the best life. Made of the
-    population of each arena and the shape (arenas, slots).
+    is the one that was evaluated best; elsewhere it is the one with the best life. With
+    `population.parsimony` it is the smallest within that share of the best of all that were so
+    judged (not of the champion, lest these get worse step by step). Made of the population of each
+    arena and the shape (arenas, slots).
     """
 
     _counters = ("_steps", "_episodes", "_error", "_counted", "_generations")
@@ -202,6 +205,10 @@ class ReturnMetrics:
         self._steps, self._episodes = np.zeros(arenas, np.int64), np.zeros(arenas, np.int64)
         self._error, self._counted = np.zeros(shape), np.zeros(shape, np.int64)
         self._generations = np.array([population.generations for population in populations])
+        self._best = np.full(arenas, -np.inf)
+        self._share: float | None = getattr(populations[0].config, "parsimony", None)
+        if self._share is not None:
+            self._counters = (*self._counters, "_best")
 
     def add(self, run: Run, batch: TensorDictBase, error: Tensor) -> list[ReturnRow]:
         """See `Metrics`."""
@@ -248,12 +255,15 @@ class ReturnMetrics:
         population, world = run.populations[arena], run.world
         now, before = population.generations, self._generations[arena]
         if not isinstance(world, GymnasiumWorld):
-            self._crown(run, arena, [int(np.nanargmax(population.returns))], population.returns)
+            lived = np.flatnonzero(~np.isnan(population.returns)).tolist()
+            self._crown(run, arena, lived, population.returns)
             return None
         config = world.config
         if self.champions[arena] is not None and now // config.every == before // config.every:
             return None
-        fittest = np.argsort(-population.fitness, kind="stable")[: config.evaluated]
+        order = np.argsort(-population.merit, kind="stable")
+        best = order[np.argmax(population.fitness[order])]  # says what is good enough
+        fittest = np.append(best, order[order != best])[: config.evaluated]
         genomes = [run.genome(arena, slot) for slot in fittest.tolist()]
         seeds = episode_seeds(run.config.seeds[arena], 0, config.episodes, purpose=EVALUATION)
         starts = np.repeat(seeds[None], len(genomes), axis=0)
@@ -272,12 +282,21 @@ class ReturnMetrics:
 
     def _crown(self, run: Run, arena: int, slots: list[int], scores: np.ndarray) -> None:
         """The best of some slots is the champion, unless the one before is better."""
-        best = max(slots, key=lambda slot: scores[slot])
-        before, score = self.champions[arena], float(scores[best])
-        if before is None or score >= before.score:
+        genomes, before = run.populations[arena].genomes, self.champions[arena]
+        self._best[arena] = max(self._best[arena], scores[slots].max())
+        worth = [self._worth(arena, genomes[slot], float(scores[slot])) for slot in slots]
+        best = slots[worth.index(max(worth))]
+        if before is None or max(worth) >= self._worth(arena, before.genome, before.score):
             generation, genome = run.populations[arena].generations, run.genome(arena, best)
-            own = genome, score, generation, self._scaling(run, arena)
+            own = genome, float(scores[best]), generation, self._scaling(run, arena)
             self.champions[arena] = Champion(*own)
+
+    def _worth(self, arena: int, genome: Genome, score: float) -> tuple[float, ...]:
+        """By what champions are compared: their return, and with parsimony, of good ones, size."""
+        if self._share is None:
+            return (score,)
+        good = score >= lowest_good(float(self._best[arena]), self._share)
+        return good, -int(genome.link_enabled.sum()), score
 
     def _scaling(self, run: Run, arena: int) -> ObservationScaling | None:
         """By which networks read the world's observations now; None: by that of the world."""
