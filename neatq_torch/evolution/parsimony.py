@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from neatq_torch.evolution.reproduction import ReproductionConfig
 from neatq_torch.genome import Genome
 
-Floats = NDArray[np.float64]
-
 
 def lowest_good(best: float, share: float) -> float:
     """The least return that is good enough beside the best one, which may be negative."""
@@ -25,7 +23,9 @@ def enabled_links(genomes: Sequence[Genome]) -> NDArray[np.int64]:
     return np.array([np.count_nonzero(one.link_enabled) for one in genomes], dtype=np.int64)
 
 
-def good_ranks(returns: Floats, links: NDArray[np.int64], share: float) -> Floats:
+def good_ranks(
+    returns: NDArray[np.float64], links: NDArray[np.int64], share: float
+) -> NDArray[np.float64]:
     """Ranks [genomes], from 0 for the worst on: whom to show as the champion.
 
     Of genomes within the share of the best return the one with fewest links is first, of these the
@@ -35,7 +35,7 @@ def good_ranks(returns: Floats, links: NDArray[np.int64], share: float) -> Float
     return _ranks(good, np.where(good, -links, 0), returns)
 
 
-def front_ranks(returns: Floats, links: NDArray[np.int64]) -> Floats:
+def front_ranks(returns: NDArray[np.float64], links: NDArray[np.int64]) -> NDArray[np.float64]:
     """Ranks [genomes], from 0 for the worst on: who lives and breeds.
 
     The better half is ranked as in NSGA-II (Deb et al. 2002), for a high return and few links:
@@ -57,7 +57,7 @@ def front_ranks(returns: Floats, links: NDArray[np.int64]) -> Floats:
     return _ranks(good, level, crowding)
 
 
-def _crowding(values: NDArray[Any]) -> Floats:
+def _crowding(values: NDArray[Any]) -> NDArray[np.float64]:
     """How far the neighbours on both sides of each value lie apart; [values]."""
     order, apart = np.argsort(values, kind="stable"), np.full(values.size, np.inf)
     near = values[order]
@@ -65,7 +65,7 @@ def _crowding(values: NDArray[Any]) -> Floats:
     return apart
 
 
-def _ranks(*keys: NDArray[Any]) -> Floats:
+def _ranks(*keys: NDArray[Any]) -> NDArray[np.float64]:
     """From 0 on, by keys [genomes] of which the first counts most; equals have equal ranks."""
     return np.unique(np.stack(keys), axis=1, return_inverse=True)[1].ravel().astype(np.float64)
 

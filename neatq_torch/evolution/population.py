@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from neatq_torch.evolution.parsimony import Floats, enabled_links, good_ranks, shrinking
+from neatq_torch.evolution.parsimony import enabled_links, good_ranks, shrinking
 from neatq_torch.evolution.reproduction import NEAT_2002, Parent, offspring
 from neatq_torch.evolution.species import Species
 from neatq_torch.evolution.trials import Kept, checked, weighted
@@ -205,7 +205,7 @@ class Population(Kept, ABC):
         share = getattr(self.config, "parsimony", None)
         return self.fitness if share is None else self.ranked(partial(good_ranks, share=share))
 
-    def ranked(self, rank: Callable[..., Floats]) -> Floats:
+    def ranked(self, rank: Callable[..., NDArray[np.float64]]) -> NDArray[np.float64]:
         """Ranks [slots] of eligible genomes, by their returns and enabled links; others have 0."""
         slots, ranks = np.flatnonzero(self.eligible), np.zeros(len(self.genomes))
         if slots.size:
