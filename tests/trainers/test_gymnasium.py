@@ -313,13 +313,13 @@ def test_a_report_without_pygame_leaves_the_animation_out(
 
 def test_the_command_trains_with_parsimony_and_goes_on(neatq: Say, toy: str) -> None:
     arm = ["--task", f"{toy}Walk-v0", "--arm", "neat", "--world.slots", "20", "--world.every", "1"]
-    share = ["--population.parsimony", "0.3", "--workers", "1", "--out", "run"]
+    share = ["--population.parsimony", "0.5", "--workers", "1", "--out", "run"]
     assert neatq("train", *arm, *share, "--generations", "6")[0] == 0
-    assert load_run("run").config.population.parsimony == 0.3
+    assert load_run("run").config.population.parsimony == 0.5
     assert neatq("resume", "run", "--workers", "1", "--generations", "12")[0] == 0
     run = load_run("run")
     metrics, champion = run.metrics(), run.champion()
     best = metrics["evaluated_return"].max()
-    assert metrics["champion_return"][-1] >= best - 0.3 * abs(best)
+    assert metrics["champion_return"][-1] >= best - 0.5 * abs(best)
     founders = 3  # links: from two inputs and the bias
     assert champion.link_enabled.sum() < founders
