@@ -1,6 +1,7 @@
 """Acting and temporal-difference learning, as TorchRL parts."""
 
 from neatq_torch.learning.candidates import CandidatePolicy, CandidateValue
+from neatq_torch.learning.critic_learner import CriticLearner
 from neatq_torch.learning.exploration import ActionNoise, EpsilonGreedy
 from neatq_torch.learning.genes import LearningGenes
 from neatq_torch.learning.heads import CandidateHeads, DiscreteHeads, Heads
@@ -17,7 +18,7 @@ from neatq_torch.learning.normalization import RunningNormalization
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.registry import LearnerParts, learner_kinds, register_learner
 from neatq_torch.learning.replay import ReplayConfig, ReplayLearner
-from neatq_torch.learning.shared_critic import CriticConfig, CriticLearner
+from neatq_torch.learning.shared_critic import CriticConfig
 from neatq_torch.learning.table import TableConfig, TableLearner
 from neatq_torch.learning.traces import TraceConfig, TraceLearner
 from neatq_torch.learning.wire_fitting import WireFittingLoss

@@ -7,7 +7,6 @@ compiled functions stay in this one file; `kernels.py` says why.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple, cast
 
@@ -17,8 +16,9 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from neatq_torch.jit import cached_njit
+from neatq_torch.learning.compiled_descent import F0, F1, F2, descend
 from neatq_torch.learning.heads import CandidateHeads
-from neatq_torch.learning.learner import ADAM_BETAS, ADAM_EPSILON, TDLearner
+from neatq_torch.learning.learner import TDLearner
 from neatq_torch.learning.objectives import discount_of
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 from neatq_torch.network import compiled, kernels
@@ -28,11 +28,6 @@ from neatq_torch.network.plan import Program
 Fit = tuple[Floats, Floats, Floats, Floats]
 """Of each candidate its nearness 1 / D and what its value lacks to the best [K, size]; the mean of
 the latter by the former, and the sum of the former [size]."""
-
-_F0, _F1, _F2 = np.float32(0), np.float32(1), np.float32(2)
-_BETA1, _BETA2 = ADAM_BETAS
-_MOVE1, _MOVE2 = np.float32(1 - _BETA1), np.float32(1 - _BETA2)
-_SMALL = np.float32(ADAM_EPSILON)
 
 
 class Pupils(NamedTuple):
@@ -125,7 +120,7 @@ def learn(
         wanted = kernels.Batch(now, state, slope, no_slope)
         kernels.backward(*order, pupils.weight, went, gradient, wanted, False)
         moments, rate = (pupils.first_moment, pupils.second_moment), pupils.learning_rate
-        _descend(pupils.weight, gradient, moments, pupils.steps, rate, learner.adam)
+        descend(pupils.weight, gradient, moments, pupils.steps, rate, learner.adam)
         if tau is not None:
             pupils.target[:] += np.float32(tau) * (pupils.weight - pupils.target)
     return error
@@ -191,7 +186,7 @@ def _slopes(
         _distances(out, action[network // robots], wires, away)
         _weigh(out, away, wires, fit)
         best = out[outputs - candidates :]
-        squares = _F0
+        squares = F0
         for i in range(size):
             value = wires.value_low + wires.value_span * best[0, i] + gap[0, i] - mean[i]
             wrong[i] = target[network, i] - value
@@ -208,9 +203,9 @@ def _distances(out: Floats, action: Floats, wires: Wires, away: Floats) -> None:
     for row in range(len(away)):
         a = row % actions
         low, unit = wires.low[a], wires.unit[a]
-        within = _F1 if unit != _F0 else _F0
+        within = F1 if unit != F0 else F0
         for i in range(len(action)):
-            here = min(max(out[row, i], _F0), _F1)
+            here = min(max(out[row, i], F0), F1)
             away[row, i] = (action[i, a] - low) * unit - within * here
 
 
@@ -220,7 +215,7 @@ def _weigh(out: Floats, away: Floats, wires: Wires, fit: Fit) -> None:
     near, gap, mean, total = fit
     candidates, actions, size = wires.candidates, len(wires.low), out.shape[1]
     first = candidates * actions
-    mean[:], total[:] = out[first], _F0
+    mean[:], total[:] = out[first], F0
     for k in range(1, candidates):
         for i in range(size):
             mean[i] = max(mean[i], out[first + k, i])  # the best output, for now
@@ -231,10 +226,10 @@ def _weigh(out: Floats, away: Floats, wires: Wires, fit: Fit) -> None:
         for row in range(k * actions, (k + 1) * actions):
             for i in range(size):
                 near[k, i] += away[row, i] * away[row, i]
-    mean[:] = _F0
+    mean[:] = F0
     for k in range(candidates):
         for i in range(size):
-            near[k, i] = _F1 / near[k, i]
+            near[k, i] = F1 / near[k, i]
             total[i] += near[k, i]
             mean[i] += near[k, i] * gap[k, i]
     for i in range(size):
@@ -261,49 +256,14 @@ def _spread(
             by_gap = share - wires.smoothing * more[i]
             slope[first + k, i] = -wrong[i] * wires.value_span * by_gap
             rest[i] -= by_gap
-            ties[i] += _F1 if gap[k, i] == _F0 else _F0
+            ties[i] += F1 if gap[k, i] == F0 else F0
         for row in range(k * actions, (k + 1) * actions):
             unit = wires.unit[row % actions]
             for i in range(size):
-                inside = _F0 <= out[row, i] <= _F1 and unit != _F0
-                step = wrong[i] * _F2 * away[row, i] * more[i]
-                slope[row, i] = step if inside else _F0
+                inside = F0 <= out[row, i] <= F1 and unit != F0
+                step = wrong[i] * F2 * away[row, i] * more[i]
+                slope[row, i] = step if inside else F0
     for k in range(candidates):
         for i in range(size):
             part = wrong[i] * wires.value_span * rest[i] / ties[i]
-            slope[first + k, i] -= part if gap[k, i] == _F0 else _F0
-
-
-@cached_njit(error_model="numpy")
-def _descend(
-    weight: Floats,
-    gradient: Floats,
-    moments: tuple[Floats, Floats],
-    steps: Floats,
-    learning_rate: Floats,
-    adam: bool,
-) -> None:
-    """One step of every network that stays finite, by Adam or by the gradient itself."""
-    changed = np.empty(weight.shape[1], np.float32)
-    for n in range(len(weight)):
-        if adam:
-            steps[n] += _F1
-            _adam(gradient[n], moments[0][n], moments[1][n], steps[n])
-        finite = True
-        for c in range(len(changed)):
-            changed[c] = weight[n, c] - learning_rate[n] * gradient[n, c]
-            finite &= math.isfinite(changed[c])
-        if finite:
-            weight[n] = changed
-
-
-@njit(error_model="numpy")
-def _adam(gradient: Floats, first: Floats, second: Floats, steps: np.float32) -> None:
-    """Replace the gradient of one network [columns] by Adam's direction."""
-    unbiased1 = -math.expm1(steps * math.log(_BETA1))
-    unbiased2 = -math.expm1(steps * math.log(_BETA2))
-    scale = np.float32(math.sqrt(unbiased2) / unbiased1)
-    for c in range(len(gradient)):
-        first[c] += _MOVE1 * (gradient[c] - first[c])
-        second[c] += _MOVE2 * (gradient[c] * gradient[c] - second[c])
-        gradient[c] = scale * first[c] / (np.sqrt(second[c]) + _SMALL)
+            slope[first + k, i] -= part if gap[k, i] == F0 else F0

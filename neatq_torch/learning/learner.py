@@ -20,6 +20,8 @@ from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.network import PopulationNetwork, fitted
 
 ADAM_BETAS, ADAM_EPSILON = (0.9, 0.999), 1e-8
+Adams = tuple[Tensor, Tensor, Tensor]
+"""What Adam keeps of some networks: steps taken [networks], two moments [networks, columns]."""
 Saved = dict[str, Any]
 """What a checkpoint keeps: JSON values, tensors and numpy arrays by name."""
 

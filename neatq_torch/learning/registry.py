@@ -11,6 +11,7 @@ from torchrl.objectives.utils import ValueEstimators
 
 from neatq_torch.kinds import ConfigError, Kinds
 from neatq_torch.learning.candidates import CandidateValue
+from neatq_torch.learning.critic_learner import CriticLearner
 from neatq_torch.learning.heads import CandidateHeads, Heads
 from neatq_torch.learning.learner import (
     Learner,
@@ -23,7 +24,7 @@ from neatq_torch.learning.learner import (
 from neatq_torch.learning.normalization import RunningNormalization
 from neatq_torch.learning.objectives import CandidateTDLoss
 from neatq_torch.learning.replay import ReplayConfig, ReplayLearner
-from neatq_torch.learning.shared_critic import CriticConfig, CriticLearner
+from neatq_torch.learning.shared_critic import CriticConfig
 from neatq_torch.learning.table import TableConfig, TableLearner
 from neatq_torch.learning.traces import TraceConfig, TraceLearner
 from neatq_torch.learning.wire_fitting import WireFittingLoss

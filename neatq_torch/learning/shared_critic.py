@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from neatq_torch.kinds import ConfigError, check_fields
-from neatq_torch.learning.critic import TwinCritic
+from neatq_torch.kinds import check_fields
+from neatq_torch.learning import compiled_critic
+from neatq_torch.learning.critic import Minibatch, TwinCritic
 from neatq_torch.learning.heads import CandidateHeads, Heads
-from neatq_torch.learning.learner import Inheritance, Learner, Saved, adam, take_over
-from neatq_torch.learning.memory import TransitionMemory, over_horizon
+from neatq_torch.learning.learner import Inheritance, Saved, adam, take_over
+from neatq_torch.learning.memory import TransitionMemory
 from neatq_torch.learning.normalization import RunningNormalization
-from neatq_torch.network import PopulationNetwork, fitted
 
 SMOOTHING_LIMIT = 0.5
 """Noise on the actions of targets is cut off here, in halves of what is allowed."""
 _LEAST_DEVIATION = 1e-6
+_AT_ONCE = 32
+"""Minibatches drawn at once, at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,8 +118,8 @@ class SharedCritic:
         device = torch.device(config.device or "cpu")
         self.critic = TwinCritic(*sizes, config.width, self.generator).to(device)
         self.target = copy.deepcopy(self.critic).requires_grad_(False)
-        rate = config.critic_learning_rate
-        self.optimizer = torch.optim.Adam(self.critic.parameters(), rate, fused=True)
+        weight = self.critic.weight.detach()
+        self.first_moment, self.second_moment = torch.zeros_like(weight), torch.zeros_like(weight)
         self.memory = TransitionMemory(config.capacity, device)
         self.returns = torch.zeros(slots, dtype=torch.float64)
         self.spread = RunningNormalization(1, 1, least=_LEAST_DEVIATION)
@@ -152,47 +152,65 @@ class SharedCritic:
         span = torch.where(heads.span > 0, heads.span, 1).to(action.device)
         return (action - heads.low.to(action.device)) / span * 2 - 1
 
-    def step(self, rows: Saved, outputs: Tensor) -> Tensor:
-        """One step on a minibatch; returns the mean squared TD error of both perceptrons.
+    @property
+    def soon(self) -> int:
+        """Steps to take at once: those that are due, up to the next one of those alive."""
+        due, every = min(int(self.due), _AT_ONCE), self.config.every
+        return due if every is None else min(due, every - self.steps % every)
+
+    def learn(self, rows: Saved, outputs: Tensor) -> Tensor:
+        """A step on each minibatch; returns the mean squared TD error of the last one.
 
         Args:
-            rows: Columns of transitions [rows, ...], the observations as networks read them.
-            outputs: Of all networks of the arena, of the next observations [slots, rows, outputs].
+            rows: Columns of the transitions of all [rows, ...], the observations as networks read
+                them.
+            outputs: Of networks of the arena, of the next observations [rows, outputs].
         """
-        self.due, self.steps = self.due - 1, self.steps + 1
-        with torch.no_grad():
-            following = self._following(rows["next_observation"], outputs)
-            following = torch.where(rows["next_terminated"], 0, following)
-            gamma = self.config.discount ** rows["steps_to_next_obs"]
-            scale = 1 / self.spread.deviation.item()
-            target = scale * rows["next_reward"] + gamma * following
+        given, error = self._given(rows, outputs), torch.zeros(())
+        for part in zip(*(column.split(self.config.size) for column in given), strict=True):
+            error = self._step(Minibatch(*part))
+            self.due, self.steps = self.due - 1, self.steps + 1
+        return error
+
+    def _given(self, rows: Saved, outputs: Tensor) -> tuple[Tensor, ...]:
+        """What the critic reads of transitions: those of a `Minibatch`."""
+        now, following = rows["observation"], rows["next_observation"]
+        ahead = self.config.discount ** rows["steps_to_next_obs"].squeeze(-1).float()
+        ahead = torch.where(rows["next_terminated"].squeeze(-1), 0, ahead)
+        reward = rows["next_reward"].squeeze(-1) / self.spread.deviation.item()
+        taken = rows["action"][..., 0].long()
         if isinstance(self.heads, CandidateHeads):
-            done = self.unit(rows["action"])
-            worth = self.critic(torch.cat([rows["observation"], done], -1))
+            now = torch.cat([now, self.unit(rows["action"])], -1)
+            action = self.unit(self.heads.best(outputs))
+            noise = self.config.smoothing * torch.randn(action.shape, generator=self.generator)
+            action = action + noise.clamp(-SMOOTHING_LIMIT, SMOOTHING_LIMIT).to(action)
+            following = torch.cat([following, action.clamp(-1, 1)], -1)
+            taken = torch.zeros_like(taken)
+        return now, taken, reward.float(), following, ahead
+
+    def _step(self, given: Minibatch) -> Tensor:
+        weight, rate = self.critic.weight, self.config.critic_learning_rate
+        adams = weight.new_full((2,), self.steps), self.first_moment, self.second_moment
+        if compiled_critic.accepts(weight):
+            sizes = self.target.weight, self.config.width
+            error = compiled_critic.step(weight, *sizes, adams, given, rate)
         else:
-            taken = rows["action"].long().expand(2, -1, -1)
-            worth = self.critic(rows["observation"]).gather(-1, taken)
-        error = (worth - target).square().mean(1).sum()
-        self.optimizer.zero_grad()
-        error.backward()
-        self.optimizer.step()
-        for slow, own in zip(self.target.parameters(), self.critic.parameters(), strict=True):
-            slow.lerp_(own.detach(), self.config.critic_tau)
+            error = self._error(given)
+            (gradient,) = torch.autograd.grad(error, weight)
+            with torch.no_grad():
+                take_over(weight, weight - rate * adam(gradient, *adams))
+        self.target.weight.lerp_(weight.detach(), self.config.critic_tau)
         return error.detach() / 2
 
-    def _following(self, observation: Tensor, outputs: Tensor) -> Tensor:
-        """What the next observations are worth [rows, 1]."""
-        if not isinstance(self.heads, CandidateHeads):
-            best = self.critic(observation).mean(0).argmax(-1, keepdim=True)
-            return self.target(observation).amin(0).gather(-1, best)
-        rows = len(observation)
-        who = torch.randint(len(outputs), (rows,), generator=self.generator).to(outputs.device)
-        every = torch.arange(rows, device=outputs.device)
-        action = self.unit(self.heads.best(outputs[who, every]))
-        noise = self.config.smoothing * torch.randn(action.shape, generator=self.generator)
-        action = action + noise.clamp(-SMOOTHING_LIMIT, SMOOTHING_LIMIT).to(action)
-        action = action.clamp(-1, 1)
-        return self.target(torch.cat([observation, action], -1)).amin(0)
+    def _error(self, given: Minibatch) -> Tensor:
+        """The sum of both mean squared TD errors."""
+        with torch.no_grad():
+            best = self.critic(given.following).mean(0).argmax(-1, keepdim=True)
+            worth = self.target(given.following).amin(0).gather(-1, best).squeeze(-1)
+            target = given.reward + torch.where(given.ahead > 0, given.ahead * worth, 0)
+        taken = given.taken.expand(2, -1).unsqueeze(-1)
+        wrong = self.critic(given.rows).gather(-1, taken).squeeze(-1) - target
+        return wrong.square().mean(1).sum()
 
     @torch.no_grad()
     def lesson(self, observation: Tensor, outputs: Tensor) -> Tensor:
@@ -217,13 +235,14 @@ class SharedCritic:
         slope = slope[:, observation.shape[-1] :].view(outputs.shape)
         return (-2 / rows) * slope * (outputs == inside)
 
+    def _weights(self) -> dict[str, Tensor]:
+        moments = {"first_moment": self.first_moment, "second_moment": self.second_moment}
+        return {"critic": self.critic.weight, "target": self.target.weight, **moments}
+
     def state_dict(self) -> Saved:
         """Everything that a checkpoint must keep."""
-        moments = [self.optimizer.state.get(one, {}) for one in self.critic.parameters()]
-        return {
-            "critic": [one.detach() for one in self.critic.parameters()],
-            "target": list(self.target.parameters()),
-            "moments": [[one["exp_avg"], one["exp_avg_sq"]] for one in moments if one],
+        own = {name: one.detach() for name, one in self._weights().items()}
+        return own | {
             "memory": self.memory.state_dict(),
             "returns": self.returns,
             "spread": self.spread.state_dict(),
@@ -235,197 +254,10 @@ class SharedCritic:
     @torch.no_grad()
     def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`."""
-        for name in ("critic", "target"):
-            for own, saved in zip(getattr(self, name).parameters(), state[name], strict=True):
-                own.copy_(torch.as_tensor(saved))
+        for name, own in self._weights().items():
+            own.copy_(torch.as_tensor(state[name]))
         self.steps, self.due = state["steps"], state["due"]
-        for one, moments in zip(self.critic.parameters(), state["moments"], strict=False):
-            first, second = (torch.as_tensor(moment).to(one).clone() for moment in moments)
-            steps = torch.tensor(float(self.steps), device=one.device)
-            self.optimizer.state[one] = {"step": steps, "exp_avg": first, "exp_avg_sq": second}
         self.memory.load_state_dict(state["memory"])
         self.returns = torch.as_tensor(state["returns"]).clone()
         self.spread.load_state_dict(state["spread"])
         self.generator.set_state(torch.as_tensor(state["generator"]))
-
-
-class CriticLearner(Learner):
-    """Trains networks by the gradient of one critic that all networks of their arena share.
-
-    Evolution with a critic that learns from everybody's steps, after ERL (Khadka & Tumer 2018),
-    CEM-RL (Pourchot & Sigaud 2019) and PGA-MAP-Elites (Nilsson & Cully 2021). Newborns learn before
-    their first step, which costs none; those alive learn during their lives. Critic and memory end
-    with the run: what acts, breeds and is exported are the networks.
-
-    Recurrent state counts as empty in what is learnt.
-
-    Args:
-        network: The networks, of shape (arenas, slots).
-        heads: How their outputs are read; in a box of actions those of one candidate.
-        config: Sizes and rates.
-        seeds: One for each arena.
-        normalization: Of what networks and critic read; None: that is what the world gives.
-
-    Raises:
-        ConfigError: If there is more than one candidate.
-
-    Example:
-        >>> heads = CandidateHeads(1, low=[-1.0], high=[1.0])
-        >>> learner = CriticLearner(network, heads, CriticConfig(), seeds=[0])
-    """
-
-    def __init__(
-        self,
-        network: PopulationNetwork,
-        heads: Heads,
-        config: CriticConfig,
-        seeds: Sequence[int],
-        normalization: RunningNormalization | None = None,
-    ) -> None:
-        if isinstance(heads, CandidateHeads) and heads.candidates != 1:
-            raise ConfigError(
-                f"network.candidates: expected 1, got {heads.candidates}; where a critic judges, a "
-                "network has no Q-values of its own to choose by"
-            )
-        self.network, self.config, self.normalization = network, config, normalization
-        slots, weight = network.shape[1], network.weight
-        sizes = network.inputs, slots
-        self.critics = [SharedCritic(config, heads, *sizes, seed) for seed in seeds]
-        self.steps = weight.new_zeros(len(weight))
-        self.first_moment = torch.zeros_like(weight, requires_grad=False)
-        self.second_moment = torch.zeros_like(weight, requires_grad=False)
-
-    def update(self, batch: TensorDictBase) -> Tensor:
-        """Remember a batch [arenas, slots, ticks], and learn as much as is due.
-
-        Returns:
-            Mean squared TD error of the critic in its last step [arenas, slots]; 0 without one.
-        """
-        ahead = over_horizon(batch, self.config.horizon, self.config.discount)
-        for arena, critic in enumerate(self.critics):
-            critic.remember(ahead[arena], batch[arena])
-        errors: dict[int, Tensor] = {}
-        with self._on_device(self.network):
-            while learning := [arena for arena, one in enumerate(self.critics) if one.due >= 1]:
-                errors |= self._step(learning)
-        error = torch.zeros(self.network.shape)
-        for arena, last in errors.items():  # only here the host waits for the device
-            error[arena] = last
-        return error
-
-    def _step(self, learning: Sequence[int]) -> dict[int, Tensor]:
-        """One step of the critics of some arenas, and of their networks where that is due.
-
-        Returns the error of each critic.
-        """
-        size = self.config.size
-        drawn = {arena: self._drawn(arena, size) for arena in learning}
-        following = {arena: rows["next_observation"] for arena, rows in drawn.items()}
-        with torch.no_grad():
-            outputs = self._outputs(following)
-        errors = {
-            arena: self.critics[arena].step(rows, outputs[arena]) for arena, rows in drawn.items()
-        }
-        every = self.config.every
-        taught = [one for one in learning if every and self.critics[one].steps % every == 0]
-        if not taught:
-            return errors
-        size = self.config.policy_size
-        seen = {arena: self._drawn(arena, size, "observation")["observation"] for arena in taught}
-        outputs = self._outputs(seen)
-        lesson = torch.zeros_like(outputs)
-        for arena, one in seen.items():
-            lesson[arena] = self.critics[arena].lesson(one, outputs[arena])
-        (gradient,) = torch.autograd.grad(outputs, self.network.weight, lesson)
-        slots = self.network.shape[1]
-        for arena in taught:
-            self._move(self.network.weight, gradient, slice(arena * slots, (arena + 1) * slots))
-        return errors
-
-    def _drawn(self, arena: int, size: int, *names: str) -> Saved:
-        """Columns of transitions of an arena, with observations as they are read."""
-        critic = self.critics[arena]
-        rows = critic.memory.draw(size, critic.generator, *names)
-        if self.normalization is not None:
-            for name in rows.keys() & {"observation", "next_observation"}:
-                rows[name] = self.normalization(rows[name], arena)
-        return rows
-
-    def _outputs(self, observations: dict[int, Tensor]) -> Tensor:
-        """Outputs [arenas, slots, rows, outputs] for observations of some arenas [rows, inputs]."""
-        some = next(iter(observations.values()))
-        arenas, slots = self.network.shape
-        every = [observations.get(arena, some) for arena in range(arenas)]
-        return self.network.step(torch.stack(every).unsqueeze(1).expand(-1, slots, -1, -1))[0]
-
-    @torch.no_grad()
-    def _move(self, weight: Tensor, gradient: Tensor, rows: slice) -> None:
-        own = self.steps[rows], self.first_moment[rows], self.second_moment[rows]
-        wanted = weight[rows] - self.config.learning_rate * adam(gradient[rows], *own)
-        take_over(weight[rows], wanted)
-
-    def reset(self, newborn: Tensor) -> None:
-        """Teach newborns (mask [arenas, slots]), and clear what belonged to those before."""
-        weight, born = self.network.weight, newborn.reshape(-1)
-        self.steps.masked_fill_(born, 0)
-        for name in ("first_moment", "second_moment"):
-            moment = fitted(getattr(self, name), weight)
-            setattr(self, name, moment.masked_fill(born.unsqueeze(1), 0))
-        for arena, critic in enumerate(self.critics):
-            critic.returns = critic.returns.masked_fill(newborn[arena], 0)
-            if critic.steps and newborn[arena].any():
-                self._teach(arena, newborn[arena].nonzero().flatten().tolist())
-
-    def _teach(self, arena: int, slots: Sequence[int]) -> None:
-        """Let newborns learn before their first step."""
-        first, critic, config = arena * self.network.shape[1], self.critics[arena], self.config
-        genomes = [self.network.genome(first + slot) for slot in slots]
-        shape = (len(genomes),)
-        young = PopulationNetwork(genomes, shape=shape, evaluation=self.network.evaluation)
-        weight = young.weight
-        steps, moments = weight.new_zeros(len(weight)), torch.zeros(2, *weight.shape)
-        with self._on_device(young):
-            moments, steps = moments.to(weight.device), steps.to(weight.device)
-            size = config.newborn_updates * config.policy_size
-            drawn = self._drawn(arena, size, "observation")["observation"]
-            for seen in drawn.split(config.policy_size):
-                outputs = young.step(seen.expand(*shape, -1, -1))[0]
-                lesson = critic.lesson(seen, outputs)
-                (gradient,) = torch.autograd.grad(outputs, weight, lesson)
-                with torch.no_grad():
-                    step = config.learning_rate * adam(gradient, steps, *moments)
-                    take_over(weight, weight - step)
-        for slot, genome in zip(slots, young.genomes(), strict=True):
-            self.network.replace(first + slot, genome)
-
-    @contextmanager
-    def _on_device(self, network: PopulationNetwork) -> Iterator[None]:
-        """Have networks where the critics are; they act where they were before."""
-        before, there = network.weight.device, self.critics[0].memory.device
-        if there == before:
-            yield
-            return
-        names = ("steps", "first_moment", "second_moment")
-        for device in (there, before):
-            network.to(device)
-            for name in names:
-                setattr(self, name, getattr(self, name).to(device))
-            if device == there:
-                yield
-
-    def state_dict(self) -> Saved:
-        """Critics, memories, moments and the state of all chance."""
-        return {
-            "critics": [critic.state_dict() for critic in self.critics],
-            "steps": self.steps,
-            "first_moment": self.first_moment,
-            "second_moment": self.second_moment,
-        }
-
-    def load_state_dict(self, state: Saved) -> None:
-        """Go on from `state`."""
-        for critic, saved in zip(self.critics, state["critics"], strict=True):
-            critic.load_state_dict(saved)
-        for name in ("steps", "first_moment", "second_moment"):
-            own = getattr(self, name)
-            own.copy_(fitted(state[name], own) if own.ndim > 1 else torch.as_tensor(state[name]))

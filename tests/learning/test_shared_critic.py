@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from neatq_torch.learning import (
     DiscreteHeads,
     Heads,
     RunningNormalization,
+    compiled_critic,
 )
 from neatq_torch.learning.critic import TwinCritic
 from neatq_torch.learning.shared_critic import SharedCritic
@@ -70,7 +72,7 @@ def constant(critic: TwinCritic, worth: Sequence[float]) -> None:
     with torch.no_grad():
         for one in critic.parameters():
             one.zero_()
-        critic.biases[-1].copy_(torch.tensor(worth).view(2, 1, -1))
+        critic.layers()[-1][:, -1] = torch.tensor(worth).view(2, -1)
 
 
 def rows(heads: Heads, *, reward: float, terminated: bool, steps: int) -> dict[str, Tensor]:
@@ -92,7 +94,7 @@ def test_the_target_in_a_box_is_that_of_the_lower_of_both(steps: int, terminated
     constant(critic.critic, [0.0, 1.0])
     constant(critic.target, [7.0, 5.0])
     given = rows(BOX, reward=2.0, terminated=terminated, steps=steps)
-    error = critic.step(given, torch.full((3, 1, 1), 0.5))
+    error = critic.learn(given, torch.full((1, 1), 0.5))
     target = 2.0 + (0.0 if terminated else 0.9**steps * 5.0)
     assert error.item() == pytest.approx((target**2 + (target - 1) ** 2) / 2, rel=1e-6)
 
@@ -103,7 +105,7 @@ def test_the_target_of_a_few_actions_is_double(terminated: bool) -> None:
     constant(critic.critic, [0.0, 9.0, 1.0, 0.0, 9.0, 1.0])  # the second action is best by these,
     constant(critic.target, [8.0, 4.0, 8.0, 8.0, 6.0, 8.0])  # and worth the lower of 4 and 6
     given = rows(CHOICES, reward=1.0, terminated=terminated, steps=2)
-    error = critic.step(given, torch.zeros(3, 1, 3))
+    error = critic.learn(given, torch.zeros(1, 3))
     target = 1.0 + (0.0 if terminated else 0.25 * 4.0)
     assert error.item() == pytest.approx(target**2, rel=1e-6)
 
@@ -123,12 +125,10 @@ def test_rewards_are_measured_by_how_far_returns_go() -> None:
 
 def test_the_slow_copy_follows() -> None:
     critic = SharedCritic(CriticConfig(critic_tau=0.25), CHOICES, 2, 3, seed=0)
-    before = [one.clone() for one in critic.target.parameters()]
-    critic.step(rows(CHOICES, reward=1.0, terminated=False, steps=1), torch.zeros(3, 1, 3))
-    for old, new, slow in zip(
-        before, critic.critic.parameters(), critic.target.parameters(), strict=True
-    ):
-        torch.testing.assert_close(slow, 0.75 * old + 0.25 * new.detach())
+    before = critic.target.weight.clone()
+    critic.learn(rows(CHOICES, reward=1.0, terminated=False, steps=1), torch.zeros(1, 3))
+    followed = 0.75 * before + 0.25 * critic.critic.weight.detach()
+    torch.testing.assert_close(critic.target.weight, followed)
 
 
 def test_a_network_is_told_what_its_action_in_a_box_is_worth() -> None:
@@ -221,7 +221,7 @@ def test_nothing_is_learnt_before_enough_is_remembered_or_where_nobody_lives() -
 
 def learners(heads: Heads, **changes: Any) -> CriticLearner:
     network = population(heads, arenas=2)
-    config = CriticConfig(width=8, size=16, policy_size=8, warmup=10, newborn_updates=5, **changes)
+    config = replace(SMALL, **changes)
     return CriticLearner(network, heads, config, seeds=[1, 2], normalization=normal(network))
 
 
@@ -247,8 +247,7 @@ def test_a_state_goes_on_exactly(heads: Heads) -> None:
         one.update(batch_of(8, heads, one.network))
     assert torch.equal(first.network.weight, second.network.weight)
     for one, other in zip(first.critics, second.critics, strict=True):
-        for a, b in zip(one.critic.parameters(), other.critic.parameters(), strict=True):
-            assert torch.equal(a, b)
+        assert torch.equal(one.critic.weight, other.critic.weight)
 
 
 @pytest.mark.parametrize("heads", [BOX, CHOICES], ids=["box", "choices"])
@@ -270,12 +269,40 @@ def test_an_arena_learns_the_same_whatever_stands_beside_it(heads: Heads) -> Non
     assert torch.equal(both.network.weight[3:], alone.network.weight)
 
 
+@pytest.mark.parametrize("every", [None, 1])
+@pytest.mark.parametrize("size", [16, 100])
+@pytest.mark.parametrize("heads", [BOX, CHOICES], ids=["box", "choices"])
+def test_compiled_code_learns_what_torch_learns(
+    heads: Heads, size: int, every: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Minibatches of one block and of two, of which the second is not full."""
+    fast, slow = (learners(heads, size=size, policy_size=size, every=every) for _ in range(2))
+    slow.normalization = fast.normalization
+    before = fast.network.weight.detach().clone()
+    newborn = torch.tensor([[True, False, True], [False, True, True]])
+    errors = []
+    for learner in (fast, slow):
+        with monkeypatch.context() as patch:
+            if learner is slow:
+                patch.setattr(compiled_critic, "accepts", lambda *_: False)
+            learner.update(batch_of(0, heads, learner.network))
+            errors.append(learner.update(batch_of(1, heads, learner.network)))
+            learner.reset(newborn)
+    torch.testing.assert_close(*errors, rtol=2e-4, atol=1e-6)
+    assert (slow.network.weight - before).abs().max() > 0.01
+    torch.testing.assert_close(fast.network.weight, slow.network.weight, rtol=2e-3, atol=2e-5)
+    for one, other in zip(fast.critics, slow.critics, strict=True):
+        assert one.steps == other.steps > 0
+        torch.testing.assert_close(one.critic.weight, other.critic.weight, rtol=2e-3, atol=2e-5)
+        torch.testing.assert_close(one.target.weight, other.target.weight, rtol=2e-3, atol=2e-5)
+
+
 def test_a_slope_is_that_of_autograd() -> None:
     critic = TwinCritic(3, 1, 16, torch.Generator().manual_seed(0))
     given = torch.rand(7, 3, requires_grad=True)
     (expected,) = torch.autograd.grad(critic(given)[0].sum(), given)
     torch.testing.assert_close(critic.slope(given.detach()), expected)
-    assert critic.weights[0].abs().max() <= 1 / math.sqrt(3)
+    assert critic.layers()[0].abs().max() <= 1 / math.sqrt(3)
 
 
 def test_several_candidates_are_refused() -> None:

@@ -1,0 +1,214 @@
+"""Networks that are taught by the critic that all networks of their arena share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from neatq_torch.kinds import ConfigError
+from neatq_torch.learning import compiled_critic
+from neatq_torch.learning.heads import CandidateHeads, Heads
+from neatq_torch.learning.learner import Adams, Learner, Saved, adam, take_over
+from neatq_torch.learning.memory import over_horizon
+from neatq_torch.learning.normalization import RunningNormalization
+from neatq_torch.learning.shared_critic import CriticConfig, SharedCritic
+from neatq_torch.network import PopulationNetwork, fitted
+
+
+class CriticLearner(Learner):
+    """Trains networks by the gradient of one critic that all networks of their arena share.
+
+    Evolution with a critic that learns from everybody's steps, after ERL (Khadka & Tumer 2018),
+    CEM-RL (Pourchot & Sigaud 2019) and PGA-MAP-Elites (Nilsson & Cully 2021). Newborns learn before
+    their first step, which costs none; those alive learn during their lives. Critic and memory end
+    with the run: what acts, breeds and is exported are the networks.
+
+    Recurrent state counts as empty in what is learnt.
+
+    Args:
+        network: The networks, of shape (arenas, slots).
+        heads: How their outputs are read; in a box of actions those of one candidate.
+        config: Sizes and rates.
+        seeds: One for each arena.
+        normalization: Of what networks and critic read; None: that is what the world gives.
+
+    Raises:
+        ConfigError: If there is more than one candidate.
+
+    Example:
+        >>> heads = CandidateHeads(1, low=[-1.0], high=[1.0])
+        >>> learner = CriticLearner(network, heads, CriticConfig(), seeds=[0])
+    """
+
+    def __init__(
+        self,
+        network: PopulationNetwork,
+        heads: Heads,
+        config: CriticConfig,
+        seeds: Sequence[int],
+        normalization: RunningNormalization | None = None,
+    ) -> None:
+        if isinstance(heads, CandidateHeads) and heads.candidates != 1:
+            raise ConfigError(
+                f"network.candidates: expected 1, got {heads.candidates}; where a critic judges, a "
+                "network has no Q-values of its own to choose by"
+            )
+        self.network, self.config, self.normalization = network, config, normalization
+        slots, weight = network.shape[1], network.weight
+        sizes = network.inputs, slots
+        self.critics = [SharedCritic(config, heads, *sizes, seed) for seed in seeds]
+        self.steps = weight.new_zeros(len(weight))
+        self.first_moment = torch.zeros_like(weight, requires_grad=False)
+        self.second_moment = torch.zeros_like(weight, requires_grad=False)
+
+    def update(self, batch: TensorDictBase) -> Tensor:
+        """Remember a batch [arenas, slots, ticks], and learn as much as is due.
+
+        Returns:
+            Mean squared TD error of the critic in its last step [arenas, slots]; 0 without one.
+        """
+        ahead = over_horizon(batch, self.config.horizon, self.config.discount)
+        for arena, critic in enumerate(self.critics):
+            critic.remember(ahead[arena], batch[arena])
+        errors: dict[int, Tensor] = {}
+        with self._on_device(self.network):
+            while soon := {
+                arena: one.soon for arena, one in enumerate(self.critics) if one.due >= 1
+            }:
+                errors |= self._learn(soon)
+        error = torch.zeros(self.network.shape)
+        for arena, last in errors.items():  # only here the host waits for the device
+            error[arena] = last
+        return error
+
+    def _learn(self, soon: dict[int, int]) -> dict[int, Tensor]:
+        """So many steps of the critics of some arenas, and one of their networks where it is due.
+
+        Returns the error of each critic.
+        """
+        drawn = {
+            arena: self._drawn(arena, steps * self.config.size) for arena, steps in soon.items()
+        }
+        outputs = self._by_turns({arena: rows["next_observation"] for arena, rows in drawn.items()})
+        errors = {
+            arena: self.critics[arena].learn(rows, outputs[arena]) for arena, rows in drawn.items()
+        }
+        every, slots = self.config.every, self.network.shape[1]
+        for arena in soon:
+            if every and self.critics[arena].steps % every == 0:
+                own = slice(arena * slots, (arena + 1) * slots)
+                adams = self.steps[own], self.first_moment[own], self.second_moment[own]
+                self._teach(self.network, arena, arena, adams, 1)
+        return errors
+
+    def _by_turns(self, observations: dict[int, Tensor]) -> dict[int, Tensor]:
+        """Outputs [rows, outputs] for observations of some arenas [rows, inputs].
+
+        Of one network for each row: all those of the arena take turns, as rows are drawn anew.
+        """
+        arenas, slots = self.network.shape
+        turns = -(-max(map(len, observations.values())) // slots)
+        some = next(iter(observations.values()))
+        asked = some.new_zeros(arenas, turns * slots, some.shape[-1])
+        for arena, rows in observations.items():
+            asked[arena, : len(rows)] = rows
+        with torch.no_grad():
+            asked = asked.view(arenas, turns, slots, -1).transpose(1, 2)
+            outputs = self.network.step(asked)[0].transpose(1, 2).flatten(1, 2)
+        return {arena: outputs[arena, : len(rows)] for arena, rows in observations.items()}
+
+    def _drawn(self, arena: int, size: int, *names: str) -> Saved:
+        """Columns of transitions of an arena, with observations as they are read."""
+        critic = self.critics[arena]
+        rows = critic.memory.draw(size, critic.generator, *names)
+        if self.normalization is not None:
+            for name in rows.keys() & {"observation", "next_observation"}:
+                rows[name] = self.normalization(rows[name], arena)
+        return rows
+
+    def reset(self, newborn: Tensor) -> None:
+        """Teach newborns (mask [arenas, slots]), and clear what belonged to those before."""
+        weight, born = self.network.weight, newborn.reshape(-1)
+        self.steps.masked_fill_(born, 0)
+        for name in ("first_moment", "second_moment"):
+            moment = fitted(getattr(self, name), weight)
+            setattr(self, name, moment.masked_fill(born.unsqueeze(1), 0))
+        for arena, critic in enumerate(self.critics):
+            critic.returns = critic.returns.masked_fill(newborn[arena], 0)
+            if critic.steps and newborn[arena].any():
+                self._teach_newborns(arena, newborn[arena].nonzero().flatten().tolist())
+
+    def _teach_newborns(self, arena: int, slots: Sequence[int]) -> None:
+        """Let newborns learn before their first step."""
+        first = arena * self.network.shape[1]
+        genomes = [self.network.genome(first + slot) for slot in slots]
+        shape = (1, len(genomes))
+        young = PopulationNetwork(genomes, shape=shape, evaluation=self.network.evaluation)
+        with self._on_device(young):
+            weight = young.weight.detach()
+            adams = (
+                weight.new_zeros(len(weight)),
+                torch.zeros_like(weight),
+                torch.zeros_like(weight),
+            )
+            self._teach(young, 0, arena, adams, self.config.newborn_updates)
+        for slot, genome in zip(slots, young.genomes(), strict=True):
+            self.network.replace(first + slot, genome)
+
+    def _teach(
+        self, network: PopulationNetwork, row: int, arena: int, adams: Adams, updates: int
+    ) -> None:
+        """Let the networks of a row follow an arena's critic, by so many minibatches."""
+        critic, slots = self.critics[arena], network.shape[1]
+        own, size = slice(row * slots, (row + 1) * slots), self.config.policy_size
+        drawn = self._drawn(arena, updates * size, "observation")["observation"]
+        seen = drawn.view(updates, size, -1)
+        if compiled_critic.accepts(network.weight, seen):
+            compiled_critic.teach(
+                network, own, adams, seen, critic.critic, self.config.learning_rate
+            )
+            return
+        for observation in seen:
+            outputs = network.step(observation.expand(*network.shape, -1, -1))[0]
+            lesson = torch.zeros_like(outputs)
+            lesson[row] = critic.lesson(observation, outputs[row])
+            (gradient,) = torch.autograd.grad(outputs, network.weight, lesson)
+            with torch.no_grad():
+                weight = network.weight[own]
+                take_over(weight, weight - self.config.learning_rate * adam(gradient[own], *adams))
+
+    @contextmanager
+    def _on_device(self, network: PopulationNetwork) -> Iterator[None]:
+        """Have networks where the critics are; they act where they were before."""
+        before, there = network.weight.device, self.critics[0].memory.device
+        if there == before:
+            yield
+            return
+        names = ("steps", "first_moment", "second_moment")
+        for device in (there, before):
+            network.to(device)
+            for name in names:
+                setattr(self, name, getattr(self, name).to(device))
+            if device == there:
+                yield
+
+    def state_dict(self) -> Saved:
+        """Critics, memories, moments and the state of all chance."""
+        return {
+            "critics": [critic.state_dict() for critic in self.critics],
+            "steps": self.steps,
+            "first_moment": self.first_moment,
+            "second_moment": self.second_moment,
+        }
+
+    def load_state_dict(self, state: Saved) -> None:
+        """Go on from `state`."""
+        for critic, saved in zip(self.critics, state["critics"], strict=True):
+            critic.load_state_dict(saved)
+        for name in ("steps", "first_moment", "second_moment"):
+            own = getattr(self, name)
+            own.copy_(fitted(state[name], own) if own.ndim > 1 else torch.as_tensor(state[name]))
