@@ -1,4 +1,4 @@
-"""`neatq train` with 20 arenas of 50 robots in one run: arm `neatq`, task `wall`, wall time.
+"""`neatq train` with 20 arenas of 50 robots in one run: arm `replay`, task `wall`, wall time.
 
 As `trainer`, with a worker process for each core.
 """
@@ -15,7 +15,7 @@ def run(quick: bool) -> list[Line]:
     """Measure a tick of twenty arenas."""
     return whole_run(
         "a tick of 20 arenas x 50 robots",
-        preset("wall", "neatq").changed({"arenas": 20}),
+        preset("wall", "replay").changed({"arenas": 20}),
         ticks=(1000, 4000) if quick else (1000, TASK_TICKS["wall"]),
         rounds=1 if quick else 2,
         goal=cost_at_most(2000, "at least 500,000 robot-steps/s"),

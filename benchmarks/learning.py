@@ -3,7 +3,7 @@
 The arm `described` with the sensors of the published code: ten candidates of four actions and a
 value for each, 950 links at the start. Batches of 40 ticks, as in a run.
 
-"shared replay" is what the arm `neatq` learns in the time of one replacement: from memory after
+"shared replay" is what the arm `replay` learns in the time of one replacement: from memory after
 each batch, and the teaching of one newborn, beside acting in these batches. CPU time.
 
 It falls short of a quarter on top of acting, and is about a fifth of a tick of the whole trainer
@@ -74,8 +74,8 @@ def _update(config: RunConfig, rounds: int) -> Line:
 
 
 def _shared(rounds: int) -> Line:
-    """What `neatq` learns between two replacements beside acting until then."""
-    config = preset("wall", "neatq")
+    """What `replay` learns between two replacements beside acting until then."""
+    config = preset("wall", "replay")
     run = build(config)
     batches = iter(make_collector(run))
     evolution = config.population
@@ -98,7 +98,7 @@ def _shared(rounds: int) -> Line:
 
     samples = interleaved({"act": act, "learn": learn}, rounds=rounds, seconds=0.5)
     return compare(
-        "shared replay of `neatq`, a tick",
+        "shared replay (`replay`), a tick",
         samples["learn"] / ticks * 1e6,
         "collecting it",
         samples["act"] / ticks * 1e6,

@@ -5,7 +5,7 @@ pass, and the bytes of their tensors alone, each in a fresh process; genomes do 
 line compares networks of about twice the links: linear growth has the ratio of the links.
 
 `python -m benchmarks memory --ticks 1000000 --save` measures another thing and takes long:
-the resident set of `neatq train` (1 arena, arm `neatq`), sampled twenty times, as a slope over the
+the resident set of `neatq train` (1 arena, arm `replay`), sampled twenty times, as a slope over the
 second half of the run. Networks grow while they evolve, so some growth is not a leak. What counts
 as flat was written down after the first such run.
 """
@@ -57,7 +57,7 @@ class Kind:
 SMALL = Kind()
 LARGE = Kind(links=(2 * LINKS[0], 2 * LINKS[1]))
 ARM = Kind(inputs=12, outputs=15, candidates=5, links=(200, 230))
-"""The arm neatq; its genomes have 195 links at the start."""
+"""The arm replay; its genomes have 195 links at the start."""
 
 
 def run(quick: bool) -> list[Line]:
@@ -70,7 +70,7 @@ def run(quick: bool) -> list[Line]:
     arm, small, large = found(ARM, ROBOTS), found(SMALL, some), found(LARGE, some)
     crowd = [in_fresh_process(footprint, SMALL, many)]
     return [
-        *_lines("20 x 50 networks of the arm neatq, moments of Adam", arm, ROBOTS),
+        *_lines("20 x 50 networks of the arm replay, moments of Adam", arm, ROBOTS),
         *_lines(f"{many:,} networks of {LINKS[0]} to {LINKS[1]} links", crowd, many),
         _linearity(some, small, large),
     ]

@@ -1,4 +1,4 @@
-"""`neatq train` with 1 arena of 50 robots: arm `neatq`, task `wall`, learning on, wall time.
+"""`neatq train` with 1 arena of 50 robots: arm `replay`, task `wall`, learning on, wall time.
 
 From tick 1,000, when evolution begins, to the end of a run as long as the published ones: two runs
 of those lengths, subtracted, so start-up does not count. TorchRL's collector with a random policy
@@ -10,7 +10,7 @@ teaching 5 %, new Spaces for the physics 3 %, stacking ticks to batches 2 %, the
 What is left to gain is the price of small tensors in Python. Printed by
 
     python -c "import cProfile; from benchmarks.training import trainer_tick_seconds;
-    from neatq_torch import preset; wall = preset('wall', 'neatq');
+    from neatq_torch import preset; wall = preset('wall', 'replay');
     cProfile.run('trainer_tick_seconds(wall, (1000, 9000))', sort='cumulative')"
 
 The figure moves by a tenth with whatever else the server does.
@@ -28,7 +28,7 @@ def run(quick: bool) -> list[Line]:
     """Measure a tick of one arena."""
     return whole_run(
         "a tick of 1 arena x 50 robots",
-        preset("wall", "neatq"),
+        preset("wall", "replay"),
         ticks=(1000, 4000) if quick else (1000, TASK_TICKS["wall"]),
         rounds=1 if quick else 3,
         goal=cost_at_most(500, "at least 2,000 ticks/s"),

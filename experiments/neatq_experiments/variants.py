@@ -1,4 +1,4 @@
-"""The study's variants of arms: `neatq` and the paper's arms with one thing changed each."""
+"""The study's variants of arms: `replay` and the paper's arms with one thing changed each."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from neatq_experiments.compare.variants import Variant, register_variants
 
 
 class StudyPart(NamedTuple):
-    """One thing in which `neatq` differs from `described`.
+    """One thing in which `replay` differs from `described`.
 
     Attributes:
         summary: What it is.
-        added: Its values in `neatq`.
+        added: Its values in `replay`.
         removed: What stands in their place without it.
     """
 
@@ -77,18 +77,18 @@ STUDY_PARTS: dict[str, StudyPart] = {
         {"population.ineligible_fraction": 0.5},
     ),
 }
-"""All of them, in the order in which the ladder from `described` to `neatq` adds them."""
+"""All of them, in the order in which the ladder from `described` to `replay` adds them."""
 
 
 def _ladder() -> dict[str, Variant]:
-    """From `described` to `neatq`, one part at a time.
+    """From `described` to `replay`, one part at a time.
 
-    The last two steps are in other places: `neatq` without its last part, and `neatq`.
+    The last two steps are in other places: `replay` without its last part, and `replay`.
     """
     steps, changes = {}, {}
     for number, (name, part) in enumerate(list(STUDY_PARTS.items())[:-2], 1):
         changes |= part.added
-        summary = f"described, its first {number} steps to neatq; the last: {part.summary}"
+        summary = f"described, its first {number} steps to replay; the last: {part.summary}"
         steps[f"step-{number}-{name}"] = Variant(
             base="described", summary=summary, changes=dict(changes)
         )
@@ -96,10 +96,10 @@ def _ladder() -> dict[str, Variant]:
 
 
 def _without() -> dict[str, Variant]:
-    """`neatq` without one part each."""
+    """`replay` without one part each."""
     return {
-        f"neatq-without-{name}": Variant(
-            base="neatq", summary=f"neatq without: {part.summary}", changes=part.removed
+        f"replay-without-{name}": Variant(
+            base="replay", summary=f"replay without: {part.summary}", changes=part.removed
         )
         for name, part in STUDY_PARTS.items()
     }
@@ -120,58 +120,58 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
     "ladder": _ladder(),
     "without": _without(),
     "controls": {
-        "rtneat-neatq-senses": Variant(
+        "rtneat-replay-senses": Variant(
             base="rtneat",
-            summary="evolution alone, with neatq's sensors, actions and reward",
+            summary="evolution alone, with replay's sensors, actions and reward",
             changes=_WORLD,
         ),
         "rtneat-sparing": Variant(
-            base="rtneat", summary="evolution alone, as few newborns as neatq", changes=_SPARING
+            base="rtneat", summary="evolution alone, as few newborns as replay", changes=_SPARING
         ),
         "rtneat-both": Variant(
             base="rtneat",
-            summary="evolution alone, with neatq's senses and as few newborns",
+            summary="evolution alone, with replay's senses and as few newborns",
             changes={**_WORLD, **_SPARING},
         ),
-        "neatq-published-reward": Variant(
-            base="neatq",
-            summary="neatq with the published reward, which lies in a twentieth of the values",
+        "replay-published-reward": Variant(
+            base="replay",
+            summary="replay with the published reward, which lies in a twentieth of the values",
             changes={"world.scenario.reward": "published", "network.value_range": (0.95, 1.0)},
         ),
-        "neatq-published-world": Variant(
-            base="neatq",
-            summary="neatq with the published reward, sensors and actions",
+        "replay-published-world": Variant(
+            base="replay",
+            summary="replay with the published reward, sensors and actions",
             changes={
                 "world.scenario.reward": "published",
                 "world.scenario.sensors": "opennero",
                 "network.value_range": (0.95, 1.0),
             },
         ),
-        "neatq-frozen": Variant(
-            base="neatq",
-            summary="neatq whose networks choose among candidates but learn nothing",
+        "replay-frozen": Variant(
+            base="replay",
+            summary="replay whose networks choose among candidates but learn nothing",
             changes={"learner.kind": "none"},
         ),
     },
     "alternatives": {
-        "neatq-farsighted": Variant(
-            base="neatq",
-            summary="neatq with a discount of 0.98: what comes in 50 ticks counts",
+        "replay-farsighted": Variant(
+            base="replay",
+            summary="replay with a discount of 0.98: what comes in 50 ticks counts",
             changes={"learner.discount": 0.98},
         ),
-        "neatq-lasting-exploration": Variant(
-            base="neatq",
-            summary="neatq with as many exploratory ticks, of which many come in a row",
+        "replay-lasting-exploration": Variant(
+            base="replay",
+            summary="replay with as many exploratory ticks, of which many come in a row",
             changes={"learner.epsilon": 0.00235, "learner.max_hold_ticks": 40},
         ),
-        "neatq-target-weights": Variant(
-            base="neatq",
-            summary="neatq with target weights that follow slowly",
+        "replay-target-weights": Variant(
+            base="replay",
+            summary="replay with target weights that follow slowly",
             changes={"learner.target_tau": 0.05},
         ),
-        "neatq-plastic": Variant(
-            base="neatq",
-            summary="neatq that forgets and learns in tens of ticks, for worlds that change",
+        "replay-plastic": Variant(
+            base="replay",
+            summary="replay that forgets and learns in tens of ticks, for worlds that change",
             changes={
                 "learner.discount": 0.8,
                 "learner.epsilon": 0.03,
@@ -184,14 +184,14 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
                 "batch_ticks": 20,
             },
         ),
-        "neatq-darwinian": Variant(
-            base="neatq",
-            summary="neatq whose offspring inherit what their parents were born with",
+        "replay-darwinian": Variant(
+            base="replay",
+            summary="replay whose offspring inherit what their parents were born with",
             changes={"learner.inheritance": "darwinian"},
         ),
-        "neatq-novelty": Variant(
-            base="neatq",
-            summary="neatq that selects half by fitness, half by novelty of where a life ends",
+        "replay-novelty": Variant(
+            base="replay",
+            summary="replay that selects half by fitness, half by novelty of where a life ends",
             changes={"population.novelty": 0.5},
         ),
         "rtneat-novelty": Variant(
@@ -199,9 +199,9 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
             summary="evolution alone, half by fitness, half by novelty of where a life ends",
             changes={"population.novelty": 0.5},
         ),
-        "neatq-genes": Variant(
-            base="neatq",
-            summary="neatq whose learning rate, epsilon and discount evolve, scored without "
+        "replay-genes": Variant(
+            base="replay",
+            summary="replay whose learning rate, epsilon and discount evolve, scored without "
             "exploration",
             changes={"learner.genes": 0.2},
         ),

@@ -85,38 +85,38 @@ def test_all_arms_have_the_same_task_but_for_sensors_and_reward() -> None:
 
 
 def test_a_variant_is_its_arm_with_other_values() -> None:
-    base, variant = (config_of("wall", name) for name in ("neatq", "neatq-darwinian"))
+    base, variant = (config_of("wall", name) for name in ("replay", "replay-darwinian"))
     assert variant == base.changed({"learner.inheritance": "darwinian"})
-    mixed = config_of("wall", "rtneat-neatq-senses")
+    mixed = config_of("wall", "rtneat-replay-senses")
     assert (scenario_of(mixed).sensors, scenario_of(mixed).reward) == ("arena", "progress")
     assert mixed.learner == config_of("wall", "rtneat").learner
 
 
-def test_all_parts_together_lead_from_what_the_paper_describes_to_neatq() -> None:
+def test_all_parts_together_lead_from_what_the_paper_describes_to_replay() -> None:
     everything = {
         path: value for part in STUDY_PARTS.values() for path, value in part.added.items()
     }
-    described, neatq = config_of("wall", "described"), config_of("wall", "neatq")
-    assert digest(described.changed(everything)) == digest(neatq)
+    described, replay = config_of("wall", "described"), config_of("wall", "replay")
+    assert digest(described.changed(everything)) == digest(replay)
     last_step = config_of("wall", list(STUDY_GROUPS["ladder"])[-1])
     name, last = list(STUDY_PARTS.items())[-1]
     before = last_step.changed(list(STUDY_PARTS.values())[-2].added)
-    assert digest(before) == digest(config_of("wall", f"neatq-without-{name}"))
-    assert digest(before.changed(last.added)) == digest(neatq)
+    assert digest(before) == digest(config_of("wall", f"replay-without-{name}"))
+    assert digest(before.changed(last.added)) == digest(replay)
 
 
 def test_a_part_that_is_taken_out_can_be_put_back() -> None:
-    neatq = config_of("flag", "neatq")
+    replay = config_of("flag", "replay")
     whole = {path: value for part in STUDY_PARTS.values() for path, value in part.added.items()}
     for name in STUDY_PARTS:
-        without = config_of("flag", f"neatq-without-{name}")
-        assert without != neatq
-        assert without.changed({"learner.kind": "td"}).changed(whole) == neatq
+        without = config_of("flag", f"replay-without-{name}")
+        assert without != replay
+        assert without.changed({"learner.kind": "td"}).changed(whole) == replay
 
 
 def test_explorations_that_last_take_as_many_ticks_as_those_that_do_not() -> None:
     shares = []
-    for name in ("neatq", "neatq-lasting-exploration"):
+    for name in ("replay", "replay-lasting-exploration"):
         learner = config_of("wall", name).learner
         explore = EpsilonGreedy(
             (1, 400),

@@ -30,7 +30,8 @@ DIGESTS = {
     ("wall", "neat"): "1c4b42ddee67",
     ("wall", "committed"): "3e1d2b4f8971",
     ("wall", "described"): "05f3194df93a",
-    ("wall", "neatq"): "2bdacba4bfdb",
+    ("wall", "neatq"): "c30d4617741c",
+    ("wall", "replay"): "2bdacba4bfdb",
     ("wall", "neat+q"): "3721695ccbba",
     ("wall", "qnetwork"): "eddee2552f9f",
     ("wall", "qlearning"): "62f479a7b08b",
@@ -39,6 +40,7 @@ DIGESTS = {
     ("gym:Pendulum-v1", "committed"): "be7f32a6651b",
     ("gym:Pendulum-v1", "described"): "cbe2c6443f79",
     ("gym:Pendulum-v1", "neatq"): "0210a8629c89",
+    ("gym:Pendulum-v1", "replay"): "a072c265b9d6",
     ("gym:Pendulum-v1", "neat+q"): "b67c774956fd",
     ("gym:Pendulum-v1", "qnetwork"): "f0f76f2d9620",
 }

@@ -93,7 +93,14 @@ CART_POLE = ["--task", "gym:CartPole-v1"]
         (["train", "--robots", "9"], "robots: .* expected --env-kwargs robots=VALUE"),
         (["train", "--scenario.robots", "9"], "robots: .* expected --env-kwargs robots=VALUE"),
         (["train", "--network.candidates", "0"], "network.candidates: expected at least 1, got 0"),
-        (["train", "--network.candidates", "1"], "network.candidates: expected at least 2, got 1"),
+        (
+            ["train", "--arm", "replay", "--network.candidates", "1"],
+            "network.candidates: expected at least 2, got 1",
+        ),
+        (
+            ["train", "--network.candidates", "5"],
+            "network.candidates: expected 1, got 5; where a critic judges",
+        ),
         (
             ["train", "--arm", "rtneat", "--learner", "td"],
             "network.candidates: expected at least 2, got 1",

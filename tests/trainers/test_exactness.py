@@ -36,13 +36,14 @@ WALL: dict[str, tuple[str, dict[str, Any]]] = {
     "neat": ("neat", {}),
     "committed": ("committed", {}),
     "described": ("described", {}),
-    "neatq": ("neatq", {}),
+    "neatq": ("neatq", {"learner.newborn_updates": 20, "learner.warmup": 100}),
+    "replay": ("replay", {}),
     "neat+q": ("neat+q", {}),
     "qlearning": ("qlearning", {}),
-    "own ticks": ("neatq", {"learner.kind": "td"}),
-    "wires": ("neatq", {"learner.kind": "td", "learner.wires": True, "learner.trace_decay": 0.5}),
+    "own ticks": ("replay", {"learner.kind": "td"}),
+    "wires": ("replay", {"learner.kind": "td", "learner.wires": True, "learner.trace_decay": 0.5}),
     "little memory": (
-        "neatq",
+        "replay",
         {
             "learner.updates": 2,
             "learner.newborn_updates": 3,
@@ -50,10 +51,10 @@ WALL: dict[str, tuple[str, dict[str, Any]]] = {
             "learner.capacity": 300,
         },
     ),
-    "target weights": ("neatq", {"learner.target_tau": 0.1}),
-    "novelty": ("neatq", {"population.novelty": 0.5}),
-    "parsimony": ("neatq", {"population.parsimony": 0.05}),
-    "genes": ("neatq", {"learner.genes": 0.5}),
+    "target weights": ("replay", {"learner.target_tau": 0.1}),
+    "novelty": ("replay", {"population.novelty": 0.5}),
+    "parsimony": ("replay", {"population.parsimony": 0.05}),
+    "genes": ("replay", {"learner.genes": 0.5}),
     "generations of replay": ("neat", {"learner.kind": "replay", "network.candidates": 3}),
 }
 """Arms and variants of them in the arena."""
@@ -64,7 +65,8 @@ WALK: dict[str, tuple[str, dict[str, Any]]] = {
     "generations of replay": ("neat+q", {"learner.kind": "replay"}),
     "parsimony": ("neat", {"population.parsimony": 0.05}),
     "rtneat": ("rtneat", {}),
-    "neatq": ("neatq", {}),
+    "neatq": ("neatq", {"learner.newborn_updates": 20, "learner.warmup": 100}),
+    "replay": ("replay", {}),
     "described": ("described", {}),
 }
 """The same on a Gymnasium task."""

@@ -32,7 +32,7 @@ from neatq_trainers.train import start
 pytestmark = pytest.mark.usefixtures("without_pictures")
 Settings = dict[str, Any]
 
-ARENA_ARMS = ("rtneat", "committed", "described", "neatq", "qlearning")
+ARENA_ARMS = ("rtneat", "committed", "described", "replay", "qlearning")
 CARS = ("CartPole-v1", "MountainCarContinuous-v0")
 
 
@@ -96,16 +96,16 @@ SHORT: dict[str, RunConfig] = {
     # Earlier it is rtneat with more outputs: recurrent links and with them state come late.
     "wall committed": arena("wall", "committed", 4000),
     "novelty": switched("rtneat", {"population.novelty": 0.5}),
-    "genes": switched("neatq", {"learner.genes": 0.3, "learner.epsilon": 0.05}),
+    "genes": switched("replay", {"learner.genes": 0.3, "learner.epsilon": 0.05}),
     "genes, own ticks": switched("described", {"learner.genes": 0.3}),
-    "darwinian": switched("neatq", {"learner.inheritance": "darwinian"}),
-    "holding": switched("neatq", {"learner.max_hold_ticks": 20, "learner.epsilon": 0.05}),
+    "darwinian": switched("replay", {"learner.inheritance": "darwinian"}),
+    "holding": switched("replay", {"learner.max_hold_ticks": 20, "learner.epsilon": 0.05}),
     "target weights": switched("described", {"learner.target_tau": 0.1}),
-    "target weights, replay": switched("neatq", {"learner.target_tau": 0.1}),
+    "target weights, replay": switched("replay", {"learner.target_tau": 0.1}),
     "long returns": switched("described", {"learner.trace_decay": 0.7}),
-    "wires, own ticks": switched("neatq", {"learner.kind": "td", "learner.wires": True}),
-    "range of values": switched("neatq", {"network.value_range": (0.2, 0.9)}),
-    "neatq-plastic": switched("neatq", PLASTIC),
+    "wires, own ticks": switched("replay", {"learner.kind": "td", "learner.wires": True}),
+    "range of values": switched("replay", {"network.value_range": (0.2, 0.9)}),
+    "replay-plastic": switched("replay", PLASTIC),
     "CartPole-v1 neat": gym("CartPole-v1", "neat", size(20, 2)),
     "CartPole-v1 neat+q": gym("CartPole-v1", "neat+q", size(12, 3)),
     "MountainCarContinuous-v0 neat": gym("MountainCarContinuous-v0", "neat", size(10, 1)),
@@ -144,11 +144,11 @@ DIGESTS: dict[str, tuple[str, ...]] = {
     "flag rtneat": ("542923ced7666cb6", "7ab637adee13c724"),
     "flag committed": ("8c14686591544856", "6b795f76c9a1333f"),
     "flag described": ("ed073992bec60e54", "3463de55512f9fd5"),
-    "flag neatq": ("49d3967c154559b2", "f7758807132c289a"),
+    "flag replay": ("49d3967c154559b2", "f7758807132c289a"),
     "flag qlearning": ("351ffb08e73211b7",),
     "wall rtneat": ("bed26b15d55de544", "88c4b6d1fb3ab8d5"),
     "wall described": ("01395c930d0aba70", "f61b685a27285767"),
-    "wall neatq": ("2abab78f7fab946a", "feef56b957296cf8"),
+    "wall replay": ("2abab78f7fab946a", "feef56b957296cf8"),
     "wall qlearning": ("eb145c99b750b2aa",),
     "wall committed": ("ff7848f356c633ee", "3039a031467bb330"),
     "novelty": ("67f227566af9e2d7", "8d351ff776b8c852"),
@@ -161,7 +161,7 @@ DIGESTS: dict[str, tuple[str, ...]] = {
     "long returns": ("3674388725c05d81", "58d98a16b060e9f6"),
     "wires, own ticks": ("22efbd10ed3fe769", "f23a9264c474ae7b"),
     "range of values": ("c21390bb95931ab2", "7ddd9f6380c719e5"),
-    "neatq-plastic": ("c68732d8440d9667", "8dec1f8b0f01ebc2"),
+    "replay-plastic": ("c68732d8440d9667", "8dec1f8b0f01ebc2"),
     "CartPole-v1 neat": ("54b6dba189361b5b", "28e3a8b055e255b8"),
     "CartPole-v1 neat+q": ("0e2ae181edd3240b", "c1d5d0444ebc8aa6"),
     "MountainCarContinuous-v0 neat": ("a79da92e6be6266c", "806db8b14bdf3650"),
@@ -176,11 +176,11 @@ DIGESTS: dict[str, tuple[str, ...]] = {
     "flag rtneat, long": ("3e9c74a14f9b226c", "dbed7dfc3d8d181f"),
     "flag committed, long": ("dea2b2cf8077a07e", "c0f0f6c9af0bab85"),
     "flag described, long": ("6e0ad9cf270590bf", "bff49518054c9620"),
-    "flag neatq, long": ("435dec09b6458a85", "9c901ef5b685e33d"),
+    "flag replay, long": ("435dec09b6458a85", "9c901ef5b685e33d"),
     "flag qlearning, long": ("5b76c4a638bf7281",),
     "wall rtneat, long": ("7e0a4b2f97b13d1a", "88c4b6d1fb3ab8d5"),
     "wall described, long": ("48b66cf8d34a120e", "c20bae2006eb2cbd"),
-    "wall neatq, long": ("400e3195be5156f7", "ef12efe9d05c1f84"),
+    "wall replay, long": ("400e3195be5156f7", "ef12efe9d05c1f84"),
     "wall qlearning, long": ("c572906712931a09",),
     "CartPole-v1 neat, long": ("d8a57c42c47e2fd5", "af5cf6aa5c6fb9ae"),
     "CartPole-v1 neat+q, long": ("1dcc41e0be3b72d7", "52ff868b074fd9ce"),

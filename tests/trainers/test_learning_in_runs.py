@@ -39,7 +39,7 @@ def weights(run: Run) -> list[np.ndarray]:
 def td_errors(arm: str, *, learning: bool) -> list[float]:
     """TD error (squared, of the median robot) of each batch of one life without evolution."""
     config = small(arm, life_ticks=1000, robots=30)
-    if arm == "neatq":  # a return that a thousand ticks are enough to learn
+    if arm == "replay":  # a return that a thousand ticks are enough to learn
         config = own_ticks(config, discount=0.9, learning_rate=0.01)
     run, errors = build(config), []
     assert isinstance(run.learner, TDLearner)
@@ -52,7 +52,7 @@ def td_errors(arm: str, *, learning: bool) -> list[float]:
     raise AssertionError("the collector ended")
 
 
-@pytest.mark.parametrize("arm", ["described", "neatq"])
+@pytest.mark.parametrize("arm", ["described", "replay"])
 def test_td_error_falls_while_a_frozen_population_lives(arm: str) -> None:
     learning, control = td_errors(arm, learning=True), td_errors(arm, learning=False)
     assert learning[0] == control[0]
@@ -73,7 +73,7 @@ def test_arms_without_learning_change_no_weight_during_life(arm: str) -> None:
 
 @pytest.mark.parametrize("wires", [False, True])
 def test_wire_fitting_alone_moves_candidate_actions(wires: bool) -> None:
-    run = build(own_ticks(small("neatq"), wires=wires, epsilon=0.5))
+    run = build(own_ticks(small("replay"), wires=wires, epsilon=0.5))
     before = weights(run)
     run.learner.update(next(iter(make_collector(run))))
     genomes = [genome for population in run.populations for genome in population.genomes]
@@ -85,7 +85,7 @@ def test_wire_fitting_alone_moves_candidate_actions(wires: bool) -> None:
 
 @pytest.mark.parametrize("inheritance", ["lamarckian", "darwinian"])
 def test_genes_change_by_exactly_what_was_learnt_or_not_at_all(inheritance: str) -> None:
-    run = build(small("neatq", {"learner.inheritance": inheritance}))
+    run = build(small("replay", {"learner.inheritance": inheritance}))
     population, founders = run.populations[0], weights(run)
     learnt, newborn = founders, torch.zeros(1, 10, dtype=torch.bool)
     for batch in make_collector(run):
@@ -104,7 +104,7 @@ def test_genes_change_by_exactly_what_was_learnt_or_not_at_all(inheritance: str)
 
 def test_a_newborn_in_a_running_collection_has_a_life_and_a_memory_of_its_own() -> None:
     often = {"population.ineligible_fraction": 0.5}
-    run = build(own_ticks(small("neatq", often, life_ticks=110)))
+    run = build(own_ticks(small("replay", often, life_ticks=110)))
     assert isinstance(run.learner, TDLearner)
     assert run.network is not None
     collector = make_collector(run)
@@ -134,11 +134,11 @@ def test_a_newborn_in_a_running_collection_has_a_life_and_a_memory_of_its_own() 
 
 
 def test_values_are_read_on_the_range_that_is_asked_for() -> None:
-    run = build(small("neatq", {"network.value_range": (0.9, 1.0)}))
+    run = build(small("replay", {"network.value_range": (0.9, 1.0)}))
     values = next(iter(make_collector(run))).get("action_value")
     assert ((values >= 0.9) & (values <= 1.0)).all()
     with pytest.raises(ConfigError, match="value_range: expected two finite numbers"):
-        small("neatq", {"network.value_range": (1.0, 1.0)})
+        small("replay", {"network.value_range": (1.0, 1.0)})
 
 
 @pytest.mark.parametrize("learner", ["td", "replay", "traces"])

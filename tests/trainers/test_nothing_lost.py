@@ -224,7 +224,7 @@ def test_resume_removes_what_killed_writes_left_and_nothing_else(
 def test_a_kill_between_the_last_checkpoint_and_the_other_files_loses_nothing(
     world: str, tiny: Tiny, tiny_walk: Tiny, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = tiny("neatq", ticks=320) if world == "arena" else tiny_walk("neat")
+    config = tiny("replay", ticks=320) if world == "arena" else tiny_walk("neat")
     config = replace(config, checkpoint_seconds=0.0)
     start(config, tmp_path / "whole")
 

@@ -27,7 +27,7 @@ from neatq_trainers.loop import judge, make_collector, strides
 )
 def test_what_makes_no_sense_is_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        preset("flag", "neatq").changed(changes)
+        preset("flag", "replay").changed(changes)
 
 
 def small(arm: str, changes: dict[str, Any]) -> RunConfig:
@@ -56,7 +56,7 @@ def test_the_behaviour_of_a_robot_is_where_its_life_ends() -> None:
 
 def test_where_learning_has_genes_explored_ticks_do_not_count() -> None:
     plain, run = (
-        build(small("neatq", {"learner.epsilon": 0.05, "learner.genes": genes}))
+        build(small("replay", {"learner.epsilon": 0.05, "learner.genes": genes}))
         for genes in (None, 0.3)
     )
     batch = next(iter(make_collector(run)))
@@ -69,7 +69,7 @@ def test_where_learning_has_genes_explored_ticks_do_not_count() -> None:
 
 
 def test_genes_of_learning_reach_robots_of_later_generations() -> None:
-    config = small("neatq", {"learner.genes": 0.3, "population.ineligible_fraction": 0.5})
+    config = small("replay", {"learner.genes": 0.3, "population.ineligible_fraction": 0.5})
     run = build(config)
     for _ in strides(run):
         if run.tick >= 400:

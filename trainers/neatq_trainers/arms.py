@@ -41,6 +41,8 @@ from neatq_trainers.worlds import (
     find_env,
 )
 
+CANDIDATES = 5
+"""Actions that a network proposes where it learns the values of its own."""
 OWN_TICKS, OWN_GENERATIONS = 70_000, 50
 """Length on worlds of robots that were not published, and on Gymnasium tasks."""
 TASK_TICKS = dict.fromkeys(TASKS, OWN_TICKS) | {"flag": 40_000, "moving": 60_000, "wall": 70_000}
@@ -89,7 +91,7 @@ _GENTLE = MutationConfig(
 )
 """Mutations that leave a network most of what it has learnt; critics do not teach memory."""
 _TAUGHT = Arm(
-    summary="rtNEAT, and a critic that all share teaches every network (shared replay)",
+    summary="rtNEAT, and a critic that learns from everybody's steps teaches every newborn",
     population=RtNEATConfig(
         reproduction=replace(OPENNERO, mutation=_GENTLE),
         minimum_life_episodes=1,
@@ -136,6 +138,20 @@ ARMS: dict[str, Arm] = {
         episodic={"learner.discount": 0.99, "learner.normalize_return": False, **_EPISODES},
     ),
     "neatq": Arm(
+        summary=_TAUGHT.summary,
+        population=RtNEATConfig(),
+        learner=CriticConfig(updates_per_step=0.02, horizon=20, discount=0.97),
+        network=NetworkConfig(candidates=1),
+        senses=_PROGRESS,
+        episodic={
+            "learner.updates_per_step": 0.5,
+            "learner.horizon": 3,
+            "learner.discount": 0.99,
+            **_EPISODES,
+        },
+        on_gymnasium=_TAUGHT,
+    ),
+    "replay": Arm(
         summary="rtNEAT, and every network learns from what all went through (shared replay)",
         population=RtNEATConfig(ineligible_fraction=0.1),
         learner=ReplayConfig(
@@ -147,7 +163,7 @@ ARMS: dict[str, Arm] = {
             newborn_updates=100,
             horizon=40,
         ),
-        network=NetworkConfig(candidates=5),
+        network=NetworkConfig(candidates=CANDIDATES),
         senses=_PROGRESS,
         episodic={
             "learner.discount": 0.98,
@@ -155,7 +171,6 @@ ARMS: dict[str, Arm] = {
             "learner.horizon": 10,
             **_EPISODES,
         },
-        on_gymnasium=_TAUGHT,
     ),
     "neat+q": Arm(
         summary="NEAT+Q (Whiteson & Stone 2006): generations whose networks learn by Q(lambda)",
@@ -273,9 +288,21 @@ def _with_kinds(config: RunConfig, population: str | None, learner: str | None) 
         parts["learner"] = learner_kinds.config(learner)()
         if not isinstance(config.world, ArenaConfig):
             parts["learner"] = _having(parts["learner"], normalize_return=False, discount=0.99)
-        if isinstance(parts["learner"], AS_IT_COMES):
-            parts["network"] = replace(config.network, normalization=None)
+        parts["network"] = _network(config, parts["learner"])
     return replace(config, **parts)
+
+
+def _network(config: RunConfig, learner: Any) -> NetworkConfig:
+    """Networks as a learner in place of the arm's needs them."""
+    network = config.network
+    if isinstance(learner, AS_IT_COMES):
+        network = replace(network, normalization=None)
+    if isinstance(learner, CriticConfig):
+        return replace(network, candidates=1)
+    chooses = not isinstance(learner, NoLearningConfig)
+    if chooses and isinstance(config.learner, CriticConfig):
+        return replace(network, candidates=CANDIDATES)
+    return network
 
 
 def _having(part: Any, **values: Any) -> Any:

@@ -54,12 +54,12 @@ def without_time(result: Result) -> Result:
 
 
 def test_every_arm_on_every_task_and_the_quick_ones_are_a_tenth() -> None:
-    cells = grid(["flag", "wall"], ["rtneat", "neatq-frozen"], quick=True)
+    cells = grid(["flag", "wall"], ["rtneat", "replay-frozen"], quick=True)
     assert [(cell.task, cell.arm, cell.config.ticks) for cell in cells] == [
         ("flag", "rtneat", 4000),
-        ("flag", "neatq-frozen", 4000),
+        ("flag", "replay-frozen", 4000),
         ("wall", "rtneat", 7000),
-        ("wall", "neatq-frozen", 7000),
+        ("wall", "replay-frozen", 7000),
     ]
     assert grid(["flag"], ["rtneat"], quick=False)[0].config.ticks == 40_000
 

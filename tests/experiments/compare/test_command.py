@@ -47,7 +47,7 @@ def no_pool(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def test_it_lists_arms_variants_and_tasks(compare: Say) -> None:
     status, out, _ = compare("--list")
     assert status == 0
-    for wanted in ("rtneat", "qlearning", "neatq-frozen", "step-1-progress", "wall, "):
+    for wanted in ("rtneat", "qlearning", "replay-frozen", "step-1-progress", "wall, "):
         assert wanted in out.replace("wall\n", "wall, ").replace("or a file", "wall, ")
 
 

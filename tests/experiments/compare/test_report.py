@@ -60,7 +60,7 @@ def test_the_report_says_what_everything_is_and_where_it_comes_from(study_of: Ma
     text = report(study_of(neatq=[[9], [19]], rtneat=[[10], [20]]))
     for wanted in ("(flag.png)", "within 10 units", "first contact", "Agarwal et al. 2021"):
         assert wanted in text
-    assert "| flag | neatq | rtNEAT, and every network" in text
+    assert "| flag | neatq | rtNEAT, and a critic" in text
     assert "newborn.png" not in text  # nobody was born
 
 

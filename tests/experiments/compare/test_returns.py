@@ -42,7 +42,7 @@ def returns_of(**arms: list[float | None]) -> Returns:
 def test_the_table_has_intervals_and_more_is_better() -> None:
     returns = returns_of(rtneat=[100, 110, 120], neatq=[130, 140, 150])
     text = returns_report(returns)
-    assert "| neatq | rtNEAT, and every network learns" in text
+    assert "| neatq | rtNEAT, and a critic that learns" in text
     assert "| 3 | 200 | 140 [130, 150] | 140 [130, 150] | 10 [10, 10] | 0.50 |" in text
     assert "| neatq | 3 | +30 [+30, +30] | 1.00 [1.00, 1.00] |" in text
 
