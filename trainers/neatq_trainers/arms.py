@@ -288,11 +288,11 @@ def _with_kinds(config: RunConfig, population: str | None, learner: str | None) 
         parts["learner"] = learner_kinds.config(learner)()
         if not isinstance(config.world, ArenaConfig):
             parts["learner"] = _having(parts["learner"], normalize_return=False, discount=0.99)
-        parts["network"] = _network(config, parts["learner"])
+        parts["network"] = _networks_for(config, parts["learner"])
     return replace(config, **parts)
 
 
-def _network(config: RunConfig, learner: Any) -> NetworkConfig:
+def _networks_for(config: RunConfig, learner: Any) -> NetworkConfig:
     """Networks as a learner in place of the arm's needs them."""
     network = config.network
     if isinstance(learner, AS_IT_COMES):
