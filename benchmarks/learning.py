@@ -4,11 +4,12 @@ The arm `described` with the sensors of the published code: ten candidates of fo
 value for each, 950 links at the start. Batches of 40 ticks, as in a run.
 
 "shared replay" is what the arm `replay` learns in the time of one replacement: from memory after
-each batch, and the teaching of one newborn, beside acting in these batches. CPU time.
+each batch, and the teaching of one newborn, beside acting in these batches. "shared critic" is the
+same of the arm `neatq`, also beside itself by torch operations. CPU time.
 
-It falls short of a quarter on top of acting, and is about a fifth of a tick of the whole trainer
-(row `trainer`): every minibatch takes three passes through all networks and the gradient of wire
-fitting.
+Both fall short of a quarter on top of acting. Of shared replay every minibatch takes three passes
+through all networks and the gradient of wire fitting; of the critic two thirds are the thousand
+minibatches by which a newborn is taught.
 
 "update" is forward, TD error, backward and update of all networks (`CandidateTDLoss`, `TDLearner`)
 for recorded batches, beside a tick of the collector that recorded them: acting, the arena, TorchRL.
@@ -28,7 +29,9 @@ acting: a thread would share the interpreter, which is what acting waits for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from types import ModuleType
+from unittest.mock import patch
 
 import torch
 
@@ -37,6 +40,7 @@ from benchmarks.result import Goal, Line, compare
 from benchmarks.training import trainer_tick_seconds
 from neatq_torch import preset
 from neatq_torch.evolution import interval_ticks
+from neatq_torch.learning import compiled_critic
 from neatq_trainers.build import build
 from neatq_trainers.config import RunConfig
 from neatq_trainers.loop import make_collector
@@ -50,7 +54,12 @@ def run(quick: bool) -> list[Line]:
     learning = described_with_950_links()
     without = learning.changed({"learner.kind": "none"})
     rounds = 3 if quick else 9
-    return [_update(learning, rounds), _shared(rounds), _whole(learning, without, quick)]
+    return [
+        _update(learning, rounds),
+        *_shared("shared replay", "replay", rounds),
+        *_shared("shared critic", "neatq", rounds, also=compiled_critic),
+        _whole(learning, without, quick),
+    ]
 
 
 def described_with_950_links() -> RunConfig:
@@ -73,9 +82,12 @@ def _update(config: RunConfig, rounds: int) -> Line:
     )
 
 
-def _shared(rounds: int) -> Line:
-    """What `replay` learns between two replacements beside acting until then."""
-    config = preset("wall", "replay")
+def _shared(name: str, arm: str, rounds: int, also: ModuleType | None = None) -> Iterator[Line]:
+    """What an arm learns between two replacements beside acting until then.
+
+    And beside the same by torch operations, if there is a module `also` that takes their place.
+    """
+    config = preset("wall", arm)
     run = build(config)
     batches = iter(make_collector(run))
     evolution = config.population
@@ -83,6 +95,8 @@ def _shared(rounds: int) -> Line:
         interval_ticks(evolution.minimum_life_ticks, run.shape[1], evolution.ineligible_fraction)
     )
     count = ticks // config.ticks_per_batch
+    for _ in range(4):  # something to remember
+        run.learner.update(next(batches))
     recorded = [next(batches).clone() for _ in range(count)]
     newborn = torch.zeros(run.shape, dtype=torch.bool)
     newborn[0, 0] = True
@@ -96,15 +110,19 @@ def _shared(rounds: int) -> Line:
             run.learner.update(batch)
         run.learner.reset(newborn)
 
-    samples = interleaved({"act": act, "learn": learn}, rounds=rounds, seconds=0.5)
-    return compare(
-        "shared replay (`replay`), a tick",
-        samples["learn"] / ticks * 1e6,
-        "collecting it",
-        samples["act"] / ticks * 1e6,
-        unit="us",
-        goal=Goal(text="at most 25 % on top", limit=SHARE, of="ratio"),
-    )
+    def slow() -> None:
+        assert also is not None
+        with patch.object(also, "accepts", lambda *_: False):
+            learn()
+
+    kinds = {"act": act, "learn": learn} | ({"slow": slow} if also else {})
+    samples = interleaved(kinds, rounds=rounds, seconds=0.5)
+    micros = {kind: seconds / ticks * 1e6 for kind, seconds in samples.items()}
+    what = f"{name} (`{arm}`), a tick"
+    goal = Goal(text="at most 25 % on top", limit=SHARE, of="ratio")
+    yield compare(what, micros["learn"], "collecting it", micros["act"], unit="us", goal=goal)
+    if also:
+        yield compare(what, micros["learn"], "by torch operations", micros["slow"], unit="us")
 
 
 def _acting_and_learning(

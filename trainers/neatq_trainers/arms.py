@@ -140,13 +140,14 @@ ARMS: dict[str, Arm] = {
     "neatq": Arm(
         summary=_TAUGHT.summary,
         population=RtNEATConfig(),
-        learner=CriticConfig(updates_per_step=0.02, horizon=20, discount=0.97),
+        learner=CriticConfig(updates_per_step=0.02, horizon=20, discount=0.97, noise=0.05),
         network=NetworkConfig(candidates=1),
         senses=_PROGRESS,
         episodic={
             "learner.updates_per_step": 0.5,
             "learner.horizon": 3,
             "learner.discount": 0.99,
+            "learner.noise": 0.1,
             **_EPISODES,
         },
         on_gymnasium=_TAUGHT,
