@@ -234,6 +234,28 @@ def test_the_champion_is_the_best_that_was_evaluated(tiny_walk: Tiny, tmp_path: 
 
 
 @pytest.mark.usefixtures("without_pictures")
+def test_the_fittest_of_the_last_generation_are_looked_at_and_a_longer_run_knows_nothing_of_it(
+    tiny_walk: Tiny, tmp_path: Path
+) -> None:
+    often, seldom = ({"world.every": every, "arenas": 2} for every in (1, 100))
+    known = start(tiny_walk("neat", generations=4, **often), tmp_path / "often").metrics()
+    short = start(tiny_walk("neat", generations=4, **seldom), tmp_path / "short")
+    result = short.result()
+    assert result is not None
+    for arena, tested in enumerate(result["arenas"]):
+        at = (known["arena"] == arena) & np.isin(known["generation"], (1, 4))
+        evaluated = known["evaluated_return"][at]
+        assert tested["generation"] == (1, 4)[int(evaluated.argmax())]
+        assert float(f"{tested['evaluated_return']:.6g}") == evaluated.max()
+    assert any(one["generation"] == 4 for one in result["arenas"])
+    resumed = resume(short.path, generations=6)
+    whole = start(tiny_walk("neat", generations=6, **seldom), tmp_path / "whole")
+    assert resumed.result() == whole.result()
+    for name in (METRICS, CHAMPION):
+        assert (resumed.path / name).read_bytes() == (whole.path / name).read_bytes()
+
+
+@pytest.mark.usefixtures("without_pictures")
 def test_neat_learns_cart_pole_in_a_few_generations(tmp_path: Path) -> None:
     settings = {"world.slots": 40, "population.episodes": 1}
     run = train("gym:CartPole-v1", "neat", generations=5, settings=settings, out=tmp_path / "run")

@@ -191,7 +191,8 @@ class ReturnMetrics:
     """In worlds of returns: a row when an arena has lived through one more generation.
 
     On Gymnasium tasks the fittest are now and then evaluated on held-out episodes, and the champion
-    is the one that was evaluated best; elsewhere it is the one with the best life. With
+    is the one that was evaluated best; elsewhere it is the one with the best life. Where the run
+    has its length they are looked at once more, which a longer run knows nothing of. With
     `population.parsimony` it is the smallest within that share of the best of all that were so
     judged (not of the champion, lest these get worse step by step). Made of the population of each
     arena and the shape (arenas, slots).
@@ -202,6 +203,7 @@ class ReturnMetrics:
     def __init__(self, populations: Sequence[Population], shape: tuple[int, int]) -> None:
         arenas = shape[0]
         self.champions: list[Champion | None] = [None] * arenas
+        self._known = list(self.champions)  # as a longer run has them
         self._steps, self._episodes = np.zeros(arenas, np.int64), np.zeros(arenas, np.int64)
         self._error, self._counted = np.zeros(shape), np.zeros(shape, np.int64)
         self._generations = np.array([population.generations for population in populations])
@@ -232,7 +234,7 @@ class ReturnMetrics:
         population = run.populations[arena]
         evaluated = self._evaluated(run, arena)
         self._generations[arena] = population.generations
-        champion = self.champions[arena]
+        champion = self._known[arena]
         assert champion is not None
         counted, total = self._counted[arena], self._error[arena]
         error = float((total[counted > 0] / counted[counted > 0]).mean())
@@ -257,9 +259,13 @@ class ReturnMetrics:
         if not isinstance(world, GymnasiumWorld):
             lived = np.flatnonzero(~np.isnan(population.returns)).tolist()
             self._crown(run, arena, lived, population.returns)
+            self._known[arena] = self.champions[arena]
             return None
-        config = world.config
-        if self.champions[arena] is not None and now // config.every == before // config.every:
+        config, self.champions[arena] = world.config, self._known[arena]
+        unit, length = run.config.length
+        over = {"steps": self._steps[arena], "generations": now}.get(unit, 0) >= length
+        due = self._known[arena] is None or now // config.every != before // config.every
+        if not (due or over):
             return None
         order = np.argsort(-population.merit, kind="stable")
         best = order[np.argmax(population.fitness[order])]  # says what is good enough
@@ -277,8 +283,13 @@ class ReturnMetrics:
             double_activation=network.double_activation,
             scalings=[self._scaling(run, arena)] * len(genomes),
         ).mean(1)
+        best_so_far = self._best[arena]
         self._crown(run, arena, fittest.tolist(), scores)
-        return float(np.nanmax(scores))
+        if due:
+            self._known[arena] = self.champions[arena]
+            return float(np.nanmax(scores))
+        self._best[arena] = best_so_far
+        return None
 
     def _crown(self, run: Run, arena: int, slots: list[int], scores: np.ndarray) -> None:
         """The best of some slots is the champion, unless the one before is better."""
@@ -311,12 +322,16 @@ class ReturnMetrics:
 
     def state_dict(self) -> State:
         """Counters and champions."""
-        counters = {name: getattr(self, name).copy() for name in self._counters}
-        return {"champions": _saved(self.champions), **counters}
+        state = {name: getattr(self, name).copy() for name in self._counters}
+        state["champions"] = _saved(self._known)
+        if any(last is not one for last, one in zip(self.champions, self._known, strict=True)):
+            state["last"] = _saved(self.champions)
+        return state
 
     def load_state_dict(self, state: State) -> None:
         """Go on from `state_dict`."""
-        self.champions = _loaded(state["champions"])
+        self._known = _loaded(state["champions"])
+        self.champions = _loaded(state["last"]) if "last" in state else list(self._known)
         for name in self._counters:
             setattr(self, name, np.array(state[name]))
 
