@@ -161,10 +161,9 @@ def td_gradient(
 def lesson_in_a_box(
     weight: Floats, width: int, observation: Floats, output: Floats, lesson: Floats
 ) -> None:
-    """What `SharedCritic.lesson` tells networks about their actions in a box.
+    """`SharedCritic.lesson` on actions in a box: goes to `lesson` [networks, rows, actions].
 
-    By the weights of the critic [2, numbers], for observations [rows, inputs] and what each network
-    put out for them [networks, rows, actions]; goes to `lesson`, of that shape.
+    By the critic's weights [2, numbers], for observations [rows, inputs] and outputs, as `lesson`.
     """
     networks, size, actions = output.shape
     inputs, share = observation.shape[1], -F2 / np.float32(size)
@@ -240,13 +239,11 @@ def teach(
     critic: TwinCritic,
     rate: float,
 ) -> None:
-    """Let some networks take a step on each minibatch of observations [minibatches, size, inputs].
-
-    They follow the critic; one that reads only observations tells a value for each choice.
-    """
+    """Let networks follow a critic, a step on each minibatch [minibatches, size, inputs]."""
     _, size, inputs = seen.shape
     plan, width, judge = network.plan, critic.sizes[1], critic.weight.detach().numpy()
-    lesson_of = lesson_by_choice if critic.sizes[0] == inputs else lesson_in_a_box
+    boxed = critic.sizes[0] > inputs  # it reads actions, too
+    lesson_of = lesson_in_a_box if boxed else lesson_by_choice
     weight, program = (
         network.weight.detach().numpy()[own],
         Program._make(p[own] for p in plan.program),

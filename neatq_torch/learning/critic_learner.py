@@ -58,8 +58,7 @@ class CriticLearner(Learner):
                 "network has no Q-values of its own to choose by"
             )
         self.network, self.config, self.normalization = network, config, normalization
-        slots, weight = network.shape[1], network.weight
-        sizes = network.inputs, slots
+        sizes, weight = (network.inputs, network.shape[1]), network.weight
         self.critics = [SharedCritic(config, heads, *sizes, seed) for seed in seeds]
         self.steps = weight.new_zeros(len(weight))
         self.first_moment = torch.zeros_like(weight, requires_grad=False)
@@ -76,9 +75,7 @@ class CriticLearner(Learner):
             critic.remember(ahead[arena], batch[arena])
         errors: dict[int, Tensor] = {}
         with self._on_device(self.network):
-            while soon := {
-                arena: one.soon for arena, one in enumerate(self.critics) if one.due >= 1
-            }:
+            while soon := {arena: n for arena, one in enumerate(self.critics) if (n := one.soon)}:
                 errors |= self._learn(soon)
         error = torch.zeros(self.network.shape)
         for arena, last in errors.items():  # only here the host waits for the device
@@ -90,9 +87,8 @@ class CriticLearner(Learner):
 
         Returns the error of each critic.
         """
-        drawn = {
-            arena: self._drawn(arena, steps * self.config.size) for arena, steps in soon.items()
-        }
+        size = self.config.size
+        drawn = {arena: self._drawn(arena, steps * size) for arena, steps in soon.items()}
         outputs = self._by_turns({arena: rows["next_observation"] for arena, rows in drawn.items()})
         errors = {
             arena: self.critics[arena].learn(rows, outputs[arena]) for arena, rows in drawn.items()
@@ -150,11 +146,8 @@ class CriticLearner(Learner):
         young = PopulationNetwork(genomes, shape=shape, evaluation=self.network.evaluation)
         with self._on_device(young):
             weight = young.weight.detach()
-            adams = (
-                weight.new_zeros(len(weight)),
-                torch.zeros_like(weight),
-                torch.zeros_like(weight),
-            )
+            first_moment, second_moment = weight.new_zeros(2, *weight.shape)
+            adams = weight.new_zeros(len(weight)), first_moment, second_moment
             self._teach(young, 0, arena, adams, self.config.newborn_updates)
         for slot, genome in zip(slots, young.genomes(), strict=True):
             self.network.replace(first + slot, genome)
@@ -163,14 +156,12 @@ class CriticLearner(Learner):
         self, network: PopulationNetwork, row: int, arena: int, adams: Adams, updates: int
     ) -> None:
         """Let the networks of a row follow an arena's critic, by so many minibatches."""
-        critic, slots = self.critics[arena], network.shape[1]
+        critic, slots, rate = self.critics[arena], network.shape[1], self.config.learning_rate
         own, size = slice(row * slots, (row + 1) * slots), self.config.policy_size
         drawn = self._drawn(arena, updates * size, "observation")["observation"]
         seen = drawn.view(updates, size, -1)
         if compiled_critic.accepts(network.weight, seen):
-            compiled_critic.teach(
-                network, own, adams, seen, critic.critic, self.config.learning_rate
-            )
+            compiled_critic.teach(network, own, adams, seen, critic.critic, rate)
             return
         for observation in seen:
             outputs = network.step(observation.expand(*network.shape, -1, -1))[0]
@@ -179,7 +170,7 @@ class CriticLearner(Learner):
             (gradient,) = torch.autograd.grad(outputs, network.weight, lesson)
             with torch.no_grad():
                 weight = network.weight[own]
-                take_over(weight, weight - self.config.learning_rate * adam(gradient[own], *adams))
+                take_over(weight, weight - rate * adam(gradient[own], *adams))
 
     @contextmanager
     def _on_device(self, network: PopulationNetwork) -> Iterator[None]:

@@ -285,11 +285,11 @@ class ReturnMetrics:
         ).mean(1)
         best_so_far = self._best[arena]
         self._crown(run, arena, fittest.tolist(), scores)
-        if due:
-            self._known[arena] = self.champions[arena]
-            return float(np.nanmax(scores))
-        self._best[arena] = best_so_far
-        return None
+        if not due:
+            self._best[arena] = best_so_far
+            return None
+        self._known[arena] = self.champions[arena]
+        return float(np.nanmax(scores))
 
     def _crown(self, run: Run, arena: int, slots: list[int], scores: np.ndarray) -> None:
         """The best of some slots is the champion, unless the one before is better."""
