@@ -1,8 +1,8 @@
 """The compiled form of what a `SharedCritic` learns and teaches, in float32 on the CPU.
 
 Every number is that of the torch operations up to rounding. Products of matrices are BLAS's, in
-blocks of rows so small that they stay in the first-level cache and that BLAS takes one thread. All
-compiled functions stay in this one file; `kernels.py` says why.
+blocks of rows so small that they stay in the first-level cache and that BLAS takes one thread for a
+critic of the usual width. All compiled functions stay in this one file; `kernels.py` says why.
 """
 
 from __future__ import annotations
@@ -244,10 +244,8 @@ def teach(
     plan, width, judge = network.plan, critic.sizes[1], critic.weight.detach().numpy()
     boxed = critic.sizes[0] > inputs  # it reads actions, too
     lesson_of = lesson_in_a_box if boxed else lesson_by_choice
-    weight, program = (
-        network.weight.detach().numpy()[own],
-        Program._make(p[own] for p in plan.program),
-    )
+    weight = network.weight.detach().numpy()[own]
+    program = Program._make(part[own] for part in plan.program)
     steps, *moments = (one.numpy() for one in adams)
     rates, gradient = np.full_like(steps, rate), np.empty_like(weight)
     output, lesson = np.empty((2, len(weight), size, network.outputs), np.float32)

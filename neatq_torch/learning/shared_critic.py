@@ -173,7 +173,7 @@ class SharedCritic:
         return error
 
     def _given(self, rows: Saved, outputs: Tensor) -> tuple[Tensor, ...]:
-        """What the critic reads of transitions: those of a `Minibatch`."""
+        """The columns of a `Minibatch`, of all transitions together."""
         now, following = rows["observation"], rows["next_observation"]
         ahead = self.config.discount ** rows["steps_to_next_obs"].squeeze(-1).float()
         ahead = torch.where(rows["next_terminated"].squeeze(-1), 0, ahead)
