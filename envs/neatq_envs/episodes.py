@@ -33,8 +33,8 @@ def episode_seed(seed: int, generation: int, episode: int, *, purpose: int = TRA
     """The seed of an episode, within 32 bits.
 
     It is the first word of `numpy.random.SeedSequence([seed, purpose, generation, episode])` with
-    the seed of the arena (generation is 0 where there are none), and depends on nothing else: all
-    rows of an arena begin alike, and a run can go on anywhere.
+    the seed of the arena (where there are no generations the slot stands in their place), and
+    depends on nothing else: a run can go on anywhere.
     """
     return int(np.random.SeedSequence([seed, purpose, generation, episode]).generate_state(1)[0])
 

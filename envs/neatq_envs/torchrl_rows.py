@@ -34,11 +34,12 @@ class GymnasiumRows(RowsEnv):
 
     ## Description
     Resetting a row [arena, slot] at the end of an episode, or before, begins its next one. Episode
-    e of all rows of an arena begins with the seed `episode_seed(seed of the arena, generation, e)`.
+    e of a row begins with the seed `episode_seed(seed of the arena, generation, e)`.
 
     With a number of `episodes` a row that had its last one is idle until `begin`: `living` is
     false, it is not stepped, its reward is 0, its observation stays, and it is not done. Without,
-    rows live for ever, and the generation is 0.
+    rows live for ever, and the slot is in the generation's place: rows of a generation are judged
+    on equal episodes, those that live on see different ones.
 
     ## Observation space
     `observation`, float32 [arenas, slots, inputs], scaled; `living`, bool [.., 1]; `episode`
@@ -139,7 +140,8 @@ class GymnasiumRows(RowsEnv):
         seeds, slots, generation = self.seeds, self.batch_size[1], self.generation
 
         def seed(row: int, episode: int) -> int:
-            return episode_seed(seeds[row // slots], generation, episode, purpose=self._purpose)
+            group = row % slots if self._number is None else generation
+            return episode_seed(seeds[row // slots], group, episode, purpose=self._purpose)
 
         return Starts(len(seeds) * slots, self._number, seed)
 

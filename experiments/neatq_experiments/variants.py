@@ -217,11 +217,6 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
             summary="on Gymnasium tasks: neatq whose critic looks one step ahead, not three",
             changes={"learner.horizon": 1},
         ),
-        "neatq-seldom": Variant(
-            base="neatq",
-            summary="on Gymnasium tasks: neatq whose critic takes half as many steps",
-            changes={"learner.updates_per_step": 0.25},
-        ),
         "neatq-as-it-comes": Variant(
             base="neatq",
             summary="on Gymnasium tasks: neatq that reads observations as random play scales them",
@@ -234,7 +229,7 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
         ),
         "neatq-wires": Variant(
             base="neatq",
-            summary="on Gymnasium tasks: the population of neatq, wire fitting as in the arena",
+            summary="on Gymnasium tasks: the population of neatq, wire fitting as in replay",
             changes={
                 "learner": {"kind": "replay", **_WIRES},
                 "network.normalization": None,

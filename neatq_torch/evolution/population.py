@@ -42,7 +42,6 @@ class LayeredFounders:
     Attributes:
         hidden: hidden nodes of each.
         activation: of the hidden nodes.
-        weight_scale: weights are as large as those of other founders, times this.
 
     Example:
         >>> config = RtNEATConfig(founders=LayeredFounders(hidden=4))
@@ -50,10 +49,9 @@ class LayeredFounders:
 
     hidden: int = 8
     activation: str = "tanh"
-    weight_scale: float = 0.3
 
     def __post_init__(self) -> None:
-        check_fields(self, hidden="[1, inf]", weight_scale="(0, inf)")
+        check_fields(self, hidden="[1, inf]")
         index_of(self.activation, ACTIVATIONS, "activation")
 
 
@@ -175,7 +173,6 @@ class Population(Kept, ABC):
         if layered is not None:
             make, settings["hidden"] = layered_genome, layered.hidden
             settings["hidden_activation"] = layered.activation
-            settings["weight_scale"] = layered.weight_scale
         elif look != "minimal":
             make = layered_genome if look == "layered" else random_genome
             settings["hidden"] = config.start_hidden

@@ -65,15 +65,14 @@ def layered_genome(
     rng: np.random.Generator,
     bias: bool = True,
     hidden_activation: str | None = None,
-    weight_scale: float = 1.0,
     **settings: Unpack[Settings],
 ) -> Genome:
     """Return a genome with one hidden layer, as networks of fixed structure have it.
 
     Every input and the bias are linked to every hidden node, every hidden node and the bias to
     every output; inputs and outputs are not linked. Hidden nodes have the ids behind the outputs;
-    their activation is that of the outputs, unless another is given. Weights are multiplied by
-    `weight_scale`. For all that is not said here see `initial_genome`.
+    their activation is that of the outputs, unless another is given. For all that is not said here
+    see `initial_genome`.
     """
     sources, targets = _forward_pairs(inputs + bias, outputs, hidden)
     from_sensor, into_output = sources <= inputs + bias, targets <= inputs + bias + outputs
@@ -81,12 +80,11 @@ def layered_genome(
     kept = (from_sensor & ~into_output) | (into_output & (~from_sensor | is_bias))
     sizes = inputs, bias, outputs, hidden
     genome = _genome(sizes, sources[kept], targets[kept], rng, **settings)
-    weights, activation = genome.link_weight * np.float32(weight_scale), genome.node_activation
-    if hidden_activation is not None:
-        code = index_of(hidden_activation, ACTIVATIONS, "hidden_activation")
-        activation = np.where(genome.node_kind == NodeKind.HIDDEN, code, activation)
-    kinds = activation.astype(np.uint8)
-    return genome.unchecked(link_weight=weights, node_activation=kinds)
+    if hidden_activation is None:
+        return genome
+    code = index_of(hidden_activation, ACTIVATIONS, "hidden_activation")
+    kinds = np.where(genome.node_kind == NodeKind.HIDDEN, code, genome.node_activation)
+    return genome.unchecked(node_activation=kinds.astype(np.uint8))
 
 
 def random_genome(

@@ -164,7 +164,7 @@ def test_a_state_of_other_rows_is_refused(toy: str) -> None:
         env.load_world_state({**state, "rows": short})
 
 
-def test_rows_without_end_draw_the_seeds_of_their_arena(toy: str) -> None:
+def test_rows_without_end_have_episodes_of_their_own(toy: str) -> None:
     env = env_of(f"{toy}Walk-v0", seeds=(5, 8))
     now, _ = go(env, env.reset(), range(50), newborn=7)
     episode = now.get("episode")[..., 0].numpy()
@@ -172,8 +172,9 @@ def test_rows_without_end_draw_the_seeds_of_their_arena(toy: str) -> None:
     assert (episode[:, 1] == 8).all()  # once in 7 steps, from step 0 on
     assert (episode[:, 2] < episode[:, 1]).all()
     for (arena, slot), number in np.ndenumerate(episode):
-        expected = episode_seed((5, 8)[arena], 0, int(number))
+        expected = episode_seed((5, 8)[arena], slot, int(number))
         assert env.episodes.seed.reshape(SHAPE)[arena, slot] == expected
+    assert np.unique(env.episodes.seed).size == env.episodes.seed.size
 
 
 def test_a_newborn_begins_the_next_episode_before_the_end_of_this_one(toy: str) -> None:

@@ -39,7 +39,7 @@ DIGESTS = {
     ("gym:Pendulum-v1", "neat"): "01af2cd64efa",
     ("gym:Pendulum-v1", "committed"): "be7f32a6651b",
     ("gym:Pendulum-v1", "described"): "cbe2c6443f79",
-    ("gym:Pendulum-v1", "neatq"): "0210a8629c89",
+    ("gym:Pendulum-v1", "neatq"): "137ad433f839",
     ("gym:Pendulum-v1", "replay"): "a072c265b9d6",
     ("gym:Pendulum-v1", "neat+q"): "b67c774956fd",
     ("gym:Pendulum-v1", "qnetwork"): "f0f76f2d9620",

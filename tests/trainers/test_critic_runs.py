@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from neatq_torch.genome import ACTIVATIONS
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.arms import preset
 from neatq_trainers.config import RunConfig
@@ -81,3 +82,16 @@ def test_a_device_that_is_not_there_is_named(tiny_walk: Tiny, tmp_path: Path) ->
 
 def test_a_critic_teaches_in_the_arena_too(tiny: Tiny, tmp_path: Path) -> None:
     same(tmp_path, tiny("neatq", ticks=400, **CRITIC), ticks=400)
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_outputs_that_a_critic_teaches_are_steep_in_the_arena_alone(
+    tiny: Tiny, tiny_walk: Tiny, tmp_path: Path
+) -> None:
+    """On Gymnasium tasks steep ones saturate: no gradient comes back, and a run gets stuck."""
+    found = {}
+    for name, config in {"arena": tiny("neatq"), "walk": tiny_walk("neatq", generations=1)}.items():
+        genome = start(config, tmp_path / name).champion()
+        outputs = np.isin(genome.node_id, genome.output_ids)
+        found[name] = {ACTIVATIONS[one] for one in genome.node_activation[outputs].tolist()}
+    assert found == {"arena": {"steep_sigmoid"}, "walk": {"sigmoid"}}

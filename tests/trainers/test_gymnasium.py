@@ -256,6 +256,25 @@ def test_the_fittest_of_the_last_generation_are_looked_at_and_a_longer_run_knows
 
 
 @pytest.mark.usefixtures("without_pictures")
+def test_a_run_that_ends_within_a_generation_may_have_its_champion_of_that_moment(
+    tiny_walk: Tiny, tmp_path: Path
+) -> None:
+    seldom = {"world.every": 100, "population.minimum_life_episodes": 7, "seed": 1}
+    run = start(tiny_walk("rtneat", steps=3_500, **seldom), tmp_path / "run")
+    evaluated = run.metrics()["evaluated_return"]
+    (first,) = evaluated[~np.isnan(evaluated)]
+    result = run.result()
+    assert result is not None
+    score = result["champion"]["evaluated_return"]
+    assert score > first + 1e-3
+    seeds = episode_seeds(run.config.seed, 0, 3, purpose=EVALUATION)
+    assert score == np.mean([play(run.config, run.champion(), int(seed)) for seed in seeds])
+    resumed = resume(run.path, steps=5_000)
+    whole = start(tiny_walk("rtneat", steps=5_000, **seldom), tmp_path / "whole")
+    assert resumed.result() == whole.result()
+
+
+@pytest.mark.usefixtures("without_pictures")
 def test_neat_learns_cart_pole_in_a_few_generations(tmp_path: Path) -> None:
     settings = {"world.slots": 40, "population.episodes": 1}
     run = train("gym:CartPole-v1", "neat", generations=5, settings=settings, out=tmp_path / "run")

@@ -350,5 +350,5 @@ def test_the_best_is_evaluated_beside_the_smallest(
         return np.ones((len(genomes), 1))
 
     monkeypatch.setattr(run.world, "returns", returns)
-    cast(ReturnMetrics, run.metrics)._evaluated(run, 0)
+    cast(ReturnMetrics, run.metrics)._evaluated(run, 0, over=True)
     assert seen == [population.genomes[slot].genome_id for slot in (1, 2, 3)]

@@ -150,7 +150,8 @@ def _populations(
         with restoring():
             saved = state["populations"]
             return [kind.from_state(own, one, reward_weights=weights) for one in saved]
-    usual = "steep_sigmoid" if isinstance(config.learner, CriticConfig) else "sigmoid"
+    steep = isinstance(config.learner, CriticConfig) and isinstance(config.world, ArenaConfig)
+    usual = "steep_sigmoid" if steep else "sigmoid"
     ranks = not _learns_values(config) and isinstance(config.world, GymnasiumConfig)
     if ranks and heads.outputs == heads.candidates > 1:
         usual = "identity"

@@ -48,9 +48,9 @@ class NetworkConfig:
         candidates: Candidate actions K in a box of actions; with 1 there is nothing to choose and
             no Q-value. Without meaning where there are a few actions to choose from.
         evaluation: settle: forward links within one tick; synchronous: one propagation a tick.
-        activation: Of the outputs of the first genomes. None: sigmoid, where a critic teaches
-            steep_sigmoid; but identity where outputs only say which of a few actions is best, so
-            that none of them saturates.
+        activation: Of the outputs of the first genomes. None: sigmoid, in the arena where a critic
+            teaches steep_sigmoid; but identity where outputs only say which of a few actions is
+            best, so that none of them saturates.
         double_activation: Activate again with the observation before (published rtNEAT+Q).
         value_range: The Q-values that outputs of 0 and 1 stand for (Whiteson & Stone 2006). None:
             those that the world's rewards allow.

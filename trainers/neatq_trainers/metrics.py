@@ -224,15 +224,19 @@ class ReturnMetrics:
         self._counted += ticks
         if run.config.generational and not all(one.due() for one in run.populations):
             return []  # an evaluation takes the environments, in which some still live
-        return [
-            self._row(run, arena)
-            for arena, population in enumerate(run.populations)
-            if population.generations > self._generations[arena]
-        ]
+        unit, length = run.config.length
+        over = {"steps": self.steps(run), "generations": run.generation}.get(unit, 0) >= length
+        over &= run.config.generational or run.tick % run.config.stride_ticks == 0
+        over &= isinstance(run.world, GymnasiumWorld)
+        rows: list[ReturnRow] = []
+        for arena, population in enumerate(run.populations):
+            new = population.generations > self._generations[arena]
+            evaluated = self._evaluated(run, arena, over) if new or over else None
+            rows += [self._row(run, arena, evaluated)] if new else []
+        return rows
 
-    def _row(self, run: Run, arena: int) -> ReturnRow:
+    def _row(self, run: Run, arena: int, evaluated: float | None) -> ReturnRow:
         population = run.populations[arena]
-        evaluated = self._evaluated(run, arena)
         self._generations[arena] = population.generations
         champion = self._known[arena]
         assert champion is not None
@@ -252,8 +256,8 @@ class ReturnMetrics:
             td_error=None if np.isnan(error) else error,
         )
 
-    def _evaluated(self, run: Run, arena: int) -> float | None:
-        """Look for a champion; the best held-out return, if there was an evaluation."""
+    def _evaluated(self, run: Run, arena: int, over: bool) -> float | None:
+        """Look for a champion, if it is time or the run is over; what the row of it says."""
         population, world = run.populations[arena], run.world
         now, before = population.generations, self._generations[arena]
         if not isinstance(world, GymnasiumWorld):
@@ -262,9 +266,8 @@ class ReturnMetrics:
             self._known[arena] = self.champions[arena]
             return None
         config, self.champions[arena] = world.config, self._known[arena]
-        unit, length = run.config.length
-        over = {"steps": self._steps[arena], "generations": now}.get(unit, 0) >= length
-        due = self._known[arena] is None or now // config.every != before // config.every
+        due = now // config.every != before // config.every or self._known[arena] is None
+        due &= now > before
         if not (due or over):
             return None
         order = np.argsort(-population.merit, kind="stable")
