@@ -19,7 +19,6 @@ from neatq_torch.learning.normalization import RunningNormalization
 
 SMOOTHING_LIMIT = 0.5
 """Noise on the actions of targets is cut off here, in halves of what is allowed."""
-_LEAST_DEVIATION = 1e-6
 _AT_ONCE = 32
 """Minibatches drawn at once, at most."""
 
@@ -79,10 +78,8 @@ class CriticConfig:
 
     def __post_init__(self) -> None:
         check_fields(self, learning_rate="[0, inf)", critic_learning_rate="(0, inf)")
-        check_fields(
-            self, updates_per_step="(0, inf)", every="[1, inf]", newborn_updates="[0, inf]"
-        )
-        for name in ("size", "policy_size", "horizon", "capacity", "warmup", "width"):
+        check_fields(self, updates_per_step="(0, inf)", newborn_updates="[0, inf]")
+        for name in ("every", "size", "policy_size", "horizon", "capacity", "warmup", "width"):
             check_fields(self, **{name: "[1, inf]"})
         check_fields(self, discount="[0, 1]", critic_tau="(0, 1]", smoothing="[0, inf)")
         check_fields(self, noise="[0, inf)", persistence="[0, 1)", epsilon="[0, 1]")
@@ -122,7 +119,7 @@ class SharedCritic:
         self.first_moment, self.second_moment = torch.zeros_like(weight), torch.zeros_like(weight)
         self.memory = TransitionMemory(config.capacity, device)
         self.returns = torch.zeros(slots, dtype=torch.float64)
-        self.spread = RunningNormalization(1, 1, least=_LEAST_DEVIATION)
+        self.spread = RunningNormalization(1, 1, least=1e-6)
         self.steps, self.due = 0, 0.0
 
     def remember(self, ahead: TensorDictBase, batch: TensorDictBase) -> None:
@@ -162,8 +159,7 @@ class SharedCritic:
         """A step on each minibatch; returns the mean squared TD error of the last one.
 
         Args:
-            rows: Columns of the transitions of all [rows, ...], the observations as networks read
-                them.
+            rows: Columns of all transitions [rows, ...], observations as networks read them.
             outputs: Of networks of the arena, of the next observations [rows, outputs].
         """
         given, error = self._given(rows, outputs), torch.zeros(())

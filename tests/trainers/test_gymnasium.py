@@ -7,7 +7,9 @@ import json
 import os
 import re
 import shutil
+import subprocess
 import sys
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 
@@ -300,6 +302,24 @@ def test_a_run_of_mujoco_goes_on_as_if_it_had_not_stopped(
     run = resume(begun.path, steps=150, workers=1)
     assert run.metrics()["steps"][-1] >= 150 > begun.metrics()["steps"][0]
     assert (run.path / METRICS).read_text() == (whole.path / METRICS).read_text()
+
+
+def test_without_a_display_one_process_draws_two_films_of_mujoco(tmp_path: Path) -> None:
+    """MuJoCo's renderer for displays kills the process when it is asked again."""
+    pytest.importorskip("mujoco")
+    script = """
+        from neatq_trainers.arms import preset
+        from neatq_trainers.train import start
+        for number in range(2):
+            kwargs = {"max_episode_steps": 5}
+            config = preset("gym:Hopper-v5", "neat", env_kwargs=kwargs, length={"generations": 1})
+            few = {"population.episodes": 1, "world.slots": 4, "world.test_episodes": 1}
+            start(config.changed({**few, "world.episodes": 1}), str(number))
+    """
+    hidden = {"DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"}
+    own = {name: value for name, value in os.environ.items() if name not in hidden}
+    command = [sys.executable, "-c", textwrap.dedent(script)]
+    subprocess.run(command, cwd=tmp_path, env=own, check=True, capture_output=True)
 
 
 def test_q_values_of_random_play_have_a_range_by_hand(toy: str) -> None:

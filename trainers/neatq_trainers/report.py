@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import math
+import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -272,6 +274,9 @@ def _frames(task: GymnasiumTask, policy: ChampionPolicy, seed: int) -> Iterator[
     close(plain)
     if "rgb_array" not in modes:
         return
+    if sys.platform == "linux" and not os.environ.keys() & {"DISPLAY", "WAYLAND_DISPLAY"}:
+        # MuJoCo's usual renderer needs a display; tried again without one, it kills the process.
+        os.environ.setdefault("MUJOCO_GL", "egl")
     env = task.make(render_mode="rgb_array")
     try:
         policy.reset()
