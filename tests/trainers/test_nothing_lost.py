@@ -41,7 +41,7 @@ from neatq_trainers.folder import (
     load_run,
 )
 from neatq_trainers.metrics import Row
-from neatq_trainers.signals import Terminated
+from neatq_trainers.signals import Terminated, handling
 from neatq_trainers.train import Session, resume, start
 
 resource: Any = pytest.importorskip("resource", reason="Windows has other signals and limits")
@@ -378,11 +378,13 @@ def signal_everybody(name: str) -> None:
 def test_sigterm_and_sighup_end_a_run_in_order(
     name: str, workers: int, config: RunConfig, whole: Path, tmp_path: Path
 ) -> None:
-    act = AtTick(40, lambda _: signal_everybody(name))
-    with pytest.raises(Terminated) as caught:
-        start(replace(config, ticks=5000), tmp_path / "run", workers=workers, callbacks=[act])
-    assert caught.value.code == 128 + getattr(signal, name)
-    assert signal.getsignal(getattr(signal, name)) is signal.SIG_DFL
+    act, number = AtTick(40, lambda _: signal_everybody(name)), getattr(signal, name)
+    default: Any = signal.SIG_DFL
+    with handling([number], default):  # where the tests themselves run under nohup, too
+        with pytest.raises(Terminated) as caught:
+            start(replace(config, ticks=5000), tmp_path / "run", workers=workers, callbacks=[act])
+        assert signal.getsignal(number) is signal.SIG_DFL
+    assert caught.value.code == 128 + number
     assert multiprocessing.active_children() == []
     assert 40 <= load_run(tmp_path / "run").read()["done"]["ticks"] < 600
     if workers == 1:

@@ -274,7 +274,7 @@ def draw_returns(returns: Returns, task: str) -> Figure:
         axes.fill_between(moments, low, high, color=colours[arm], alpha=0.2, lw=0)
     axes.set_xlabel("steps of the environment")
     axes.set_ylabel("return of the champion")
-    plain_title(axes, f"Task {task}: what the champion reaches")
+    plain_title(axes, f"{task}: what the champion reaches", fontsize=11)
     axes.set_xlim(left=0)
     axes.grid(alpha=0.3)
     legend_beside(figure, *axes.get_legend_handles_labels(), line="mean over seeds")
