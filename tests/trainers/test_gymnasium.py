@@ -12,6 +12,7 @@ import sys
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -22,6 +23,7 @@ from neatq_envs.episodes import EVALUATION, episode_seeds
 from neatq_envs.random_play import look_around
 from neatq_torch.checkpoint import load_checkpoint
 from neatq_torch.genome import Genome, load_genome
+from neatq_trainers import report
 from neatq_trainers.arms import preset
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import (
@@ -320,6 +322,32 @@ def test_without_a_display_one_process_draws_two_films_of_mujoco(tmp_path: Path)
     own = {name: value for name, value in os.environ.items() if name not in hidden}
     command = [sys.executable, "-c", textwrap.dedent(script)]
     subprocess.run(command, cwd=tmp_path, env=own, check=True, capture_output=True)
+
+
+def test_a_film_draws_little_more_than_it_keeps(
+    done: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Twenty steps, four frames at most: 0, 1, 2, 3, then every second, every fourth, ..."""
+    walk = sys.modules["toy_tasks"].Walk
+    at: list[int] = []
+
+    def step(env: Any, action: Any) -> Any:
+        env.count = getattr(env, "count", 0) + 1
+        return env._seen(), 0.0, False, env.count == 20, {}
+
+    def render(env: Any) -> np.ndarray:
+        at.append(getattr(env, "count", 0))
+        return np.full((2, 2, 3), at[-1], np.uint8)
+
+    monkeypatch.setattr(walk, "step", step)
+    monkeypatch.setattr(walk, "render", render)
+    monkeypatch.setattr(report, "MOST_FRAMES", 4)
+    run = load_run(done)
+    champion = run.champion()
+    assert champion is not None
+    frames = report.film(run, make_policy(run.config, champion, run.facts()))
+    assert at == [0, 1, 2, 3, 4, 6, 8, 12, 16]
+    assert [int(frame.max()) for frame in frames] == [0, 8, 16]
 
 
 def test_q_values_of_random_play_have_a_range_by_hand(toy: str) -> None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import io
-import math
 import os
 import sys
-from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -257,39 +256,49 @@ def film(folder: RunFolder, policy: ChampionPolicy) -> list[np.ndarray]:
         return []
     seed = int(episode_seeds(result["champion"]["seed"], 0, 1, purpose=TEST)[0])
     try:
-        frames = [*_frames(world.task, policy, seed)]
+        return _frames(world.task, policy, seed)
     except BaseException as error:  # whatever it objects to, the run is over
         if isinstance(error, TaskError) or not raised_by_environment(error):
             raise
         missing = isinstance(error, gymnasium.error.DependencyNotInstalled)
         kind = "" if missing else f"{type(error).__name__}: "
         raise TaskError(f"left out: {kind}{error}") from error
-    return frames[:: math.ceil(len(frames) / MOST_FRAMES)] if frames else []
 
 
-def _frames(task: GymnasiumTask, policy: ChampionPolicy, seed: int) -> Iterator[np.ndarray]:
-    """The pictures of an episode, one for each step; none if the environment draws nothing."""
+def _frames(task: GymnasiumTask, policy: ChampionPolicy, seed: int) -> list[np.ndarray]:
+    """At most `MOST_FRAMES` pictures of an episode, evenly spaced in its steps.
+
+    None if the environment draws nothing.
+    """
     plain = task.make()
     modes = plain.metadata.get("render_modes") or ()
     close(plain)
     if "rgb_array" not in modes:
-        return
+        return []
     if sys.platform == "linux" and not os.environ.keys() & {"DISPLAY", "WAYLAND_DISPLAY"}:
         # MuJoCo's usual renderer needs a display; tried again without one, it kills the process.
         os.environ.setdefault("MUJOCO_GL", "egl")
     env = task.make(render_mode="rgb_array")
+    frames, apart = [], 1  # nobody knows how long an episode will be, and a picture takes long
     try:
         policy.reset()
-        observation, done = begin(env, seed), False
+        observation, step, done = begin(env, seed), 0, False
         while not done:
-            drawn = env.render()
-            if not isinstance(drawn, np.ndarray):
-                words = f"expected a picture [height, width, 3], got a {type(drawn).__name__}"
-                raise TaskError(f"left out: render(): {words}")
-            picture = Image.fromarray(drawn)
-            picture.thumbnail((WIDEST, WIDEST))
-            yield np.asarray(picture)
+            if len(frames) == MOST_FRAMES:
+                frames, apart = frames[::2], 2 * apart
+            if step % apart == 0:
+                frames.append(_picture(env.render()))
             observation, _, terminated, truncated, _ = env.step(policy(observation))
-            done = terminated or truncated
+            step, done = step + 1, terminated or truncated
     finally:
         close(env)
+    return frames
+
+
+def _picture(drawn: Any) -> np.ndarray:
+    if not isinstance(drawn, np.ndarray):
+        words = f"expected a picture [height, width, 3], got a {type(drawn).__name__}"
+        raise TaskError(f"left out: render(): {words}")
+    picture = Image.fromarray(drawn)
+    picture.thumbnail((WIDEST, WIDEST))
+    return np.asarray(picture)
