@@ -57,7 +57,7 @@ from neatq_envs.walls import MAZE_GOAL, MAZE_START, Wall, box_distance, hard_maz
 
 REWARD_DIMENSIONS: tuple[str, ...] = ("stand_ground", "stick_together", "approach_flag")
 REWARD_LAWS: tuple[str, ...] = ("published", "progress")
-SENSOR_SETS: tuple[str, ...] = ("arena", "opennero")
+SENSOR_SETS: tuple[str, ...] = ("arena", "arena-feedback", "opennero")
 _FILE_BYTES = 10_000_000
 BORDER_INSET = 2.0
 """Distance in units from the edge of the field to the inner face of its border wall."""
@@ -91,7 +91,7 @@ class Scenario:
         walls: obstacles; the border of the field is always walled.
         spawns: robot i begins its lives at spawn i modulo their number.
         flag: where the flag stands and when it moves, or two flags of which one counts.
-        sensors: "arena" or "opennero"; see `neatq_envs.sensors`.
+        sensors: "arena", "arena-feedback" or "opennero"; see `neatq_envs.sensors`.
         reward: "published" or "progress"; see `neatq_envs.rewards`.
         reward_weights: weight of each reward dimension; those left out are 0.
         lifetime_ticks: after so many ticks a life is truncated; 0 = lives have no limit.

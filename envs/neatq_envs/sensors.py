@@ -33,6 +33,7 @@ _FLAG = tuple(f"flag_{sector}" for sector in _SECTORS)
 _ENEMY = tuple(f"enemy_{sector}" for sector in _SECTORS)
 _SECOND_FLAG = tuple(f"second_flag_{sector}" for sector in _SECTORS)
 _FRIEND = ("friend_proximity", "friend_direction")
+_FEEDBACK = ("last_speed", "last_turn", "last_reward")
 _RAYS = np.array([(math.cos(angle), math.sin(angle)) for angle in RAY_ANGLES_RAD])
 
 
@@ -62,12 +63,20 @@ class SensorSchema:
 _MOTION, _NERO = ("speed", "turn"), ("speed", "turn", "fire", "ignore_friends")
 # The order in which OpenNERO really filled its inputs, dead ones included: there are no enemies (by
 # whose radar a second flag is seen), friend sensors took the place of the target ray, index 17 was
-# never written. In the arena the second flag comes last: the first 12 indices stay.
+# never written. In the arena a second flag and feedback come last: the first 12 indices stay.
 SCHEMAS: dict[str, SensorSchema] = {
     "arena": SensorSchema("arena-1", (*_WALL, *_FLAG, *_FRIEND), _MOTION),
     "opennero": SensorSchema("opennero-2014", (*_WALL, *_FLAG, *_ENEMY, *_FRIEND, "unused"), _NERO),
     "arena-two-flags": SensorSchema(
         "arena-1-two-flags", (*_WALL, *_FLAG, *_FRIEND, *_SECOND_FLAG), _MOTION
+    ),
+    "arena-feedback": SensorSchema(
+        "arena-1-feedback", (*_WALL, *_FLAG, *_FRIEND, *_FEEDBACK), _MOTION
+    ),
+    "arena-feedback-two-flags": SensorSchema(
+        "arena-1-feedback-two-flags",
+        (*_WALL, *_FLAG, *_FRIEND, *_SECOND_FLAG, *_FEEDBACK),
+        _MOTION,
     ),
     "opennero-two-flags": SensorSchema(
         "opennero-2014-two-flags", (*_WALL, *_FLAG, *_SECOND_FLAG, *_FRIEND, "unused"), _NERO
@@ -86,6 +95,8 @@ class Senses:
 
     def __init__(self, scenario: Scenario) -> None:
         self.schema = schema_of(scenario)
+        has = _FEEDBACK[0] in self.schema.observations
+        self.feedback = self.schema.index(_FEEDBACK[0]) if has else None
         size = scenario.width, scenario.height
         self._barriers = barriers(scenario.walls, *size, BORDER_INSET)
         self._grid = grid_of(*size, scenario.robots, FRIEND_RANGE)
@@ -97,6 +108,7 @@ class Senses:
         flag: np.ndarray,
         ignore: np.ndarray | None = None,
         second: np.ndarray | None = None,
+        feedback: np.ndarray | None = None,
     ) -> np.ndarray:
         """Observations, float32 [arenas, robots, observations], each in [0, 1].
 
@@ -109,6 +121,8 @@ class Senses:
             flag: float64 [arenas, 2] in units.
             ignore: bool [arenas, robots]; where true, friend sensors read 0.
             second: place of the second flag, likewise; needed if the schema has sensors for it.
+            feedback: the last speed and turn, as shares of their range, and reward, float64
+                [arenas, robots, 3]; None at the beginning of a life, where all three read 0.5.
         """
         values = np.zeros((*position.shape[:2], len(self.schema.observations)), dtype=np.float32)
         walls = ray_distances(position, ahead, _RAYS, RAY_LENGTH, self._barriers)
@@ -118,6 +132,8 @@ class Senses:
         if second is not None:
             index = self.schema.index(_SECOND_FLAG[0])
             _write_flag(values[..., index:], position, ahead, second)
+        if self.feedback is not None:
+            values[..., self.feedback :] = 0.5 if feedback is None else feedback
         if ignore is not None and ignore.any():
             values[ignore, friend : friend + 2] = 0.0
         return values

@@ -125,6 +125,11 @@ is in the sector and within 300 units |
 itself included |
     | 11 | friend_direction | 0..1 | angle to it, to the left, (degrees + 180) / 360 |
 
+    With sensors "arena-feedback" three more come last: last_speed and last_turn, what was done, as
+    a share of the range of actions, and last_reward; all 0.5 at the beginning of a life. The action
+    and the reward of the step before are what a network needs to tell from within a life which
+    rules hold (Duan et al. 2016).
+
     With sensors "opennero" (`opennero-2014`): 0-9 as above, 10-14 enemy radar (always 0),
     15 friend_proximity, 16 friend_direction, 17 unused (always 0).
 

@@ -189,16 +189,6 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
             summary="replay whose offspring inherit what their parents were born with",
             changes={"learner.inheritance": "darwinian"},
         ),
-        "replay-novelty": Variant(
-            base="replay",
-            summary="replay that selects half by fitness, half by novelty of where a life ends",
-            changes={"population.novelty": 0.5},
-        ),
-        "rtneat-novelty": Variant(
-            base="rtneat",
-            summary="evolution alone, half by fitness, half by novelty of where a life ends",
-            changes={"population.novelty": 0.5},
-        ),
         "replay-genes": Variant(
             base="replay",
             summary="replay whose learning rate, epsilon and discount evolve, scored without "

@@ -245,8 +245,8 @@ class Population(Kept, ABC):
             rewards: [slots, ticks, dimensions].
             done: bool [slots, ticks], the ticks with which an episode ends; needed where lives are
                 made of episodes.
-            behaviour: [slots, ticks, dimensions of behaviour], such as where the robots are, needed
-                by novelty; what stands at the end of a trial is how a robot behaved.
+            behaviour: [slots, ticks, dimensions of behaviour], such as where the robots are, for
+                populations of one's own that seek variety.
             counts: bool [slots, ticks], the ticks by which robots are judged; None for all.
 
         Raises:

@@ -13,7 +13,6 @@ from math import floor
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from neatq_torch.evolution.novelty import Novelty, mixed
 from neatq_torch.evolution.parsimony import front_ranks
 from neatq_torch.evolution.population import Data, LayeredFounders, Population, Replacement
 from neatq_torch.evolution.reproduction import OPENNERO, ReproductionConfig, choose_parents
@@ -34,8 +33,6 @@ class RtNEATConfig:
         minimum_life_episodes: episodes after which a genome can be judged, instead of ticks; also
             the length of a trial. None for ticks.
         ineligible_fraction: share of the population that is too young to be judged, in (0, 1].
-        novelty: weight of novelty beside fitness in who lives and who breeds, in (0, 1]; None for
-            fitness alone.
         founders: what the first genomes look like; None: no hidden nodes.
         parsimony: the champion is the smallest network whose average return is within this share of
             the best one, in [0, 1), and who lives and breeds is decided by return and size; see
@@ -50,13 +47,12 @@ class RtNEATConfig:
     minimum_life_ticks: int = 1000
     minimum_life_episodes: int | None = None
     ineligible_fraction: float = 0.5
-    novelty: float | None = None
     founders: LayeredFounders | None = None
     parsimony: float | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, minimum_life_ticks="[1, inf]", minimum_life_episodes="[1, inf]")
-        check_fields(self, ineligible_fraction="(0, 1]", novelty="(0, 1]", parsimony="[0, 1)")
+        check_fields(self, ineligible_fraction="(0, 1]", parsimony="[0, 1)")
 
 
 def interval_ticks(life_ticks: int, slots: int, ineligible_fraction: float) -> float:
@@ -89,7 +85,6 @@ class RtNEAT(Population):
         tick: ticks recorded so far.
         speciation: species and their threshold.
         trials: ages and rewards.
-        novelty: behaviours; None where they do not count.
         birth_order: int64 [slots], the oldest first.
         settled: replacements that are no longer due.
 
@@ -103,7 +98,6 @@ class RtNEAT(Population):
     config: RtNEATConfig
     least = 2
     kept = (*Population.kept, "speciation", "trials", "tick", "birth_order", "settled")
-    novelty: Novelty | None = None
 
     def begin(self) -> None:
         """See `Population`."""
@@ -111,8 +105,6 @@ class RtNEAT(Population):
         lives = config.minimum_life_ticks, config.minimum_life_episodes
         self.tick, self.trials = 0, Trials(slots, dimensions, *lives)
         self.speciation = Speciation(config.species, config.reproduction.distance)
-        if config.novelty is not None:
-            self.novelty, self.kept = Novelty(slots), (*self.kept, "novelty")
         for slot in range(slots):
             self.speciation.add(slot, self.genomes)
         # Who came first: the older one goes first where the rules leave the order open.
@@ -153,17 +145,8 @@ class RtNEAT(Population):
 
     @property
     def score(self) -> NDArray[np.float64]:
-        """Float64 [slots] >= 0, by which robots live and breed: fitness, mixed with novelty.
-
-        With parsimony it is not fitness that counts, but `front_ranks`.
-        """
-        parsimony = self.config.parsimony is not None
-        fitness = self.ranked(front_ranks) if parsimony else self.fitness
-        if self.novelty is None or self.config.novelty is None:
-            return fitness
-        eligible = self.eligible
-        novelty = self.novelty.of(np.flatnonzero(eligible))
-        return mixed(fitness, novelty, eligible, self.config.novelty)
+        """Float64 [slots] >= 0, by which robots live and breed: with parsimony `front_ranks`."""
+        return self.fitness if self.config.parsimony is None else self.ranked(front_ranks)
 
     @property
     def species(self) -> list[Species]:
@@ -173,11 +156,8 @@ class RtNEAT(Population):
     def record(
         self, rewards: ArrayLike, done: Data = None, *, behaviour: Data = None, counts: Data = None
     ) -> None:
-        """See `Population`; `done` matters to trials of episodes, `behaviour` to novelty only."""
-        seen = None if self.novelty is None else self.novelty.checked(behaviour)
+        """See `Population`; `done` matters to trials of episodes, `behaviour` to nothing."""
         closing = self.trials.record(rewards, done, counts)
-        if self.novelty is not None and seen is not None:
-            self.novelty.record(closing, seen)
         self.tick += closing.shape[1]
 
     def due(self) -> int:

@@ -196,14 +196,6 @@ def test_robots_that_are_too_young_have_no_merit() -> None:
     assert population.score.tolist() == [1, 1, 0, 0]
 
 
-def test_novelty_is_mixed_with_ranks() -> None:
-    population = rtneat(9, 5, 7, 2, novelty=0.5)
-    where = np.broadcast_to(np.array([0.0, 0.0, 0.0, 9.0])[:, None, None], (4, 10, 1))
-    population.record(np.full((4, 10, 1), 1.0), behaviour=where)
-    # Ranks 0, 2, 1 and 3 of 3; distances to the nearest others 3, 3, 3 and 9.
-    assert population.score.tolist() == pytest.approx([0, 1 / 3, 1 / 6, 1])
-
-
 # ---------------------------------------------------------------------------- NEAT
 
 

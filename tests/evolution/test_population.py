@@ -361,15 +361,6 @@ def test_with_ticks_the_end_of_episodes_makes_no_difference() -> None:
     assert born > 20
 
 
-def test_the_behaviour_of_an_episode_is_that_of_its_last_tick() -> None:
-    one = rtneat(slots=2, minimum_life_episodes=1, novelty=1.0)
-    behaviour = np.arange(6.0).reshape(2, 3, 1)
-    one.record(np.zeros((2, 3, 1)), [[0, 1, 0], [0, 0, 1]], behaviour=behaviour)
-    assert one.novelty is not None
-    assert one.novelty.latest.tolist() == [[1.0], [5.0]]
-    assert one.novelty.seen == 2 and one.novelty.archive.tolist() == [[1.0]]
-
-
 # ---------------------------------------------------------------------------- single settings
 
 
@@ -438,7 +429,6 @@ def test_every_setting_of_neat_makes_a_difference(setting: str, value: Any) -> N
     [
         ("minimum_life_ticks", 11),
         ("ineligible_fraction", 0.55),
-        ("novelty", 0.5),
         ("species.threshold", 1.1),
         ("species.target", 5),
         ("species.step", 0.2),

@@ -257,7 +257,6 @@ def test_a_population_too_small_or_with_a_number_twice_is_refused() -> None:
         ({"minimum_life_ticks": 0}, "minimum_life_ticks: expected at least 1"),
         ({"minimum_life_episodes": 0}, "minimum_life_episodes: expected at least 1"),
         ({"ineligible_fraction": 0.0}, r"ineligible_fraction: expected \(0, 1\], got 0.0"),
-        ({"novelty": 0.0}, r"novelty: expected \(0, 1\] or None, got 0.0"),
     ],
 )
 def test_a_config_out_of_range_is_refused(change: dict[str, Any], message: str) -> None:

@@ -186,7 +186,6 @@ def test_bad_input_is_answered_in_one_line(neatq: Say, arguments: list[str], pat
             "learner.epsilon: .* by learner.noise",
         ),
         ([*CART_POLE, "--learner", "td", "--learner.wires"], "learner.wires: .* a box of actions"),
-        ([*CART_POLE, "--population.novelty", "0.5"], "population.novelty: .* nobody stands at a"),
         (
             [*CART_POLE, "--population.minimum-life-ticks", "9"],
             "population.minimum_life_ticks: .* is set",

@@ -83,7 +83,6 @@ CASES: list[tuple[str, str, dict[str, Any], str, str]] = [
         "multipoint_prob is 0",
     ),
     ("rtneat", BOX, {}, "population.minimum_life_ticks", "minimum_life_episodes is set"),
-    ("rtneat", BOX, {}, "population.novelty", "nobody stands at a place"),
     ("replay", "wall", {"learner.epsilon": 0.0}, "learner.max_hold_ticks", "epsilon is 0"),
     ("replay", "wall", {"learner.discount": 0.0}, "learner.horizon", "discount is 0"),
     ("described", "wall", {"learner.discount": 0.0}, "learner.normalize_return", "discount is 0"),

@@ -52,7 +52,6 @@ WALL: dict[str, tuple[str, dict[str, Any]]] = {
         },
     ),
     "target weights": ("replay", {"learner.target_tau": 0.1}),
-    "novelty": ("replay", {"population.novelty": 0.5}),
     "parsimony": ("replay", {"population.parsimony": 0.05}),
     "genes": ("replay", {"learner.genes": 0.5}),
     "generations of replay": ("neat", {"learner.kind": "replay", "network.candidates": 3}),

@@ -95,7 +95,6 @@ SHORT: dict[str, RunConfig] = {
     },
     # Earlier it is rtneat with more outputs: recurrent links and with them state come late.
     "wall committed": arena("wall", "committed", 4000),
-    "novelty": switched("rtneat", {"population.novelty": 0.5}),
     "genes": switched("replay", {"learner.genes": 0.3, "learner.epsilon": 0.05}),
     "genes, own ticks": switched("described", {"learner.genes": 0.3}),
     "darwinian": switched("replay", {"learner.inheritance": "darwinian"}),
@@ -151,7 +150,6 @@ DIGESTS: dict[str, tuple[str, ...]] = {
     "wall replay": ("2abab78f7fab946a", "feef56b957296cf8"),
     "wall qlearning": ("eb145c99b750b2aa",),
     "wall committed": ("ff7848f356c633ee", "3039a031467bb330"),
-    "novelty": ("67f227566af9e2d7", "8d351ff776b8c852"),
     "genes": ("9b6c1e5940391774", "3ba6128edcbd4e7d"),
     "genes, own ticks": ("ca1a3472c3e18946", "29da0cb2b43c538a"),
     "darwinian": ("31dcc3fbc0a3072b", "3c3812e201695bce"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 from neatq_torch.kinds import ConfigError
@@ -22,7 +21,6 @@ from neatq_trainers.loop import judge, make_collector, strides
         ({"learner.genes": 0.1, "learner.epsilon": 0.0}, "genes: .* got 0.0, 0.03 and 0.9"),
         ({"learner.genes": 0.1, "learner.discount": 1.0}, "genes: .* got 0.01, 0.03 and 1.0"),
         ({"learner.target_tau": 0.0}, r"target_tau: expected \(0, 1\] or None"),
-        ({"population.novelty": 0.0}, r"novelty: expected \(0, 1\] or None"),
     ],
 )
 def test_what_makes_no_sense_is_refused(changes: dict[str, Any], message: str) -> None:
@@ -33,25 +31,6 @@ def test_what_makes_no_sense_is_refused(changes: dict[str, Any], message: str) -
 def small(arm: str, changes: dict[str, Any]) -> RunConfig:
     config = preset("flag", arm, env_kwargs={"robots": 6, "lifetime_ticks": 80})
     return config.changed({"batch_ticks": 40} | changes)
-
-
-def test_the_behaviour_of_a_robot_is_where_its_life_ends() -> None:
-    config = small("rtneat", {"population.novelty": 0.5})
-    ends = np.zeros((6, 2))
-    for number, batch in enumerate(make_collector(build(config))):
-        ends = batch.get(("next", "pose"))[0, :, -1, :2].numpy()
-        if number == 1:
-            assert batch.get(("next", "truncated"))[0, :, -1].all()
-            break
-    run = build(config)
-    for _ in strides(run):
-        if run.tick == 80:
-            break
-    population: Any = run.populations[0]
-    novelty = population.novelty
-    assert novelty is not None
-    assert novelty.latest.tolist() == ends.tolist()
-    assert np.ptp(novelty.latest, axis=0).min() > 1  # not at the spawn
 
 
 def test_where_learning_has_genes_explored_ticks_do_not_count() -> None:

@@ -45,6 +45,17 @@ def run_of(state: dict[str, Any]) -> dict[str, Any]:
     return state["runs"][0]
 
 
+def test_a_run_that_selected_by_novelty_is_refused(arena: Path) -> None:
+    path = arena / "config.json"
+    config = json.loads(path.read_text())
+    assert config["population"]["novelty"] is None  # as runs of 0.2.0 have it
+    assert nq.load_run(arena).config.population is not None
+    config["population"]["novelty"] = 0.5
+    path.write_text(json.dumps(config))
+    with pytest.raises(ValueError, match=r"population\.novelty: .* version 0\.2\.0"):
+        _ = nq.load_run(arena).config
+
+
 EDITS: dict[str, Edit] = {
     "no runs": lambda state: state.pop("runs"),
     "empty runs": lambda state: state.update(runs=[]),

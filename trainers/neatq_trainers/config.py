@@ -312,6 +312,8 @@ class RunConfig:
         """
         try:
             parts = {"until": None, **values}  # which 0.2.0 did not know
+            if (parts["population"] or {}).get("novelty"):
+                raise ConfigError("population.novelty: is no more; take version 0.2.0 for this run")
             for name, kinds in _KINDS.items():
                 if parts[name] is not None:
                     own = dict(parts[name])

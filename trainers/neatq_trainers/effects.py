@@ -86,11 +86,8 @@ def _may_recur(population: Any) -> bool:
 
 def _of_population(config: RunConfig) -> dict[str, str]:
     own, useless = config.population, {}
-    if isinstance(own, RtNEATConfig):
-        if own.minimum_life_episodes is not None:
-            useless["population.minimum_life_ticks"] = "population.minimum_life_episodes is set"
-        if isinstance(config.world, GymnasiumConfig):
-            useless["population.novelty"] = f"nobody stands at a place in {config.task}"
+    if isinstance(own, RtNEATConfig) and own.minimum_life_episodes is not None:
+        useless["population.minimum_life_ticks"] = "population.minimum_life_episodes is set"
     if getattr(own, "start", None) == "minimal":
         useless["population.start_hidden"] = 'founders of population.start "minimal" have none'
     return useless | _of_species(own) | _of_reproduction(getattr(own, "reproduction", None))

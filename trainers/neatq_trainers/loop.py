@@ -158,7 +158,7 @@ def judge(run: Run, batch: TensorDictBase) -> None:
         if run.genes is not None:  # what a robot explored is not its fault
             best = batch.get("action_value")[arena].argmax(-1)
             counts = (batch.get("candidate_index")[arena] == best).numpy()
-        where = None if pose is None else pose[arena, ..., :2].numpy()  # for novelty
+        where = None if pose is None else pose[arena, ..., :2].numpy()  # how it behaved
         population.record(rewards[arena], done[arena], behaviour=where, counts=counts)
 
 

@@ -262,7 +262,10 @@ def _differences_table(returns: Returns, task: str) -> str:
 
 
 def draw_returns(returns: Returns, task: str) -> Figure:
-    """Return of the champion over the steps of a run: mean over seeds with its 95 % interval."""
+    """Return of the champion over the steps of a run, and in the test after it.
+
+    Means over seeds with 95 % intervals. The lines know the evaluations within a run alone.
+    """
     figure = Figure(figsize=(8.5, 5), layout="constrained")
     axes, colours = figure.add_subplot(), colours_of(returns.arms())
     for arm in returns.arms(task):
@@ -272,10 +275,18 @@ def draw_returns(returns: Returns, task: str) -> Figure:
         mean = statistics.mean_of_known(curves)
         axes.plot(moments, mean, color=colours[arm], lw=1.6, label=label)
         axes.fill_between(moments, low, high, color=colours[arm], alpha=0.2, lw=0)
+        outcomes = returns.outcomes_of(task, arm)
+        if all(one.test_return is not None for one in outcomes):
+            steps = np.mean([one.steps for one in outcomes])
+            test = statistics.mean_estimate(_scores(returns, task, arm))
+            reach = [[test.value - test.low], [test.high - test.value]]
+            axes.errorbar(steps, test.value, reach, fmt="o", color=colours[arm], capsize=3)
     axes.set_xlabel("steps of the environment")
     axes.set_ylabel("return of the champion")
     plain_title(axes, f"{task}: what the champion reaches", fontsize=11)
     axes.set_xlim(left=0)
     axes.grid(alpha=0.3)
-    legend_beside(figure, *axes.get_legend_handles_labels(), line="mean over seeds")
+    legend_beside(
+        figure, *axes.get_legend_handles_labels(), line="mean over seeds\ndot: test after the run"
+    )
     return figure
