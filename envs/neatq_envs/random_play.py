@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from gymnasium import spaces
@@ -31,15 +31,16 @@ class ObservationScaling:
 
     offset: NDArray[np.float64]  # [observations]
     scale: NDArray[np.float64]  # [observations], positive
+    largest: ClassVar[float] = LARGEST
 
     def __call__(self, observation: NDArray[np.float64]) -> NDArray[np.float32]:
         """Scale observations [..., observations]."""
         scaled = (observation - self.offset) / self.scale
-        return np.clip(scaled, -LARGEST, LARGEST).astype(np.float32)
+        return np.clip(scaled, -self.largest, self.largest).astype(np.float32)
 
-    def then(self, mean: NDArray[np.float64], deviation: NDArray[np.float64]) -> Self:
-        """This scaling, and what comes out of it less a mean, over a deviation [observations]."""
-        return type(self)(self.offset + self.scale * mean, self.scale * deviation)
+    def then(self, mean: NDArray[np.float64], deviation: NDArray[np.float64]) -> ObservationScaling:
+        """This scaling unclipped, and what comes out less a mean, over a deviation [inputs]."""
+        return ObservationScaling(self.offset + self.scale * mean, self.scale * deviation)
 
     @classmethod
     def fit(cls, space: spaces.Space[Any], seen: ArrayLike) -> Self:
@@ -64,6 +65,12 @@ class ObservationScaling:
             reach = np.abs(seen[:, sane] - offset[sane]).max(0)
             scale[sane] = np.clip(reach, half * _LEAST_SHARE, half)
         return cls(offset, scale)
+
+
+class WideScaling(ObservationScaling):
+    """The same before a normalisation: what random play never saw may be all that is seen later."""
+
+    largest = 1e6
 
 
 @dataclass(frozen=True)

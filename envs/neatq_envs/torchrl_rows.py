@@ -14,7 +14,7 @@ from torchrl.data import Bounded, Unbounded
 from neatq_envs.episodes import TRAINING, EpisodeRows, Starts, episode_seed
 from neatq_envs.gymnasium_rows import EnvRows
 from neatq_envs.gymnasium_task import Interface
-from neatq_envs.random_play import LARGEST, ObservationScaling
+from neatq_envs.random_play import ObservationScaling
 from neatq_envs.torchrl_env import (
     DONE,
     OBSERVATION,
@@ -86,7 +86,9 @@ class GymnasiumRows(RowsEnv):
         self._number, self._purpose = episodes, purpose
         inputs = self._size(interface.inputs)
         observed = {
-            OBSERVATION: Bounded(-LARGEST, LARGEST, shape=inputs, dtype=torch.float32),
+            OBSERVATION: Bounded(
+                -scaling.largest, scaling.largest, shape=inputs, dtype=torch.float32
+            ),
             REWARD_VECTOR: Unbounded(shape=self._size(1), dtype=torch.float64),
             LIVING: self._truth(),
             EPISODE: self._count(),

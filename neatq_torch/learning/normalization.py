@@ -14,15 +14,16 @@ LEAST_DEVIATION = 0.1
 class RunningNormalization:
     """Running mean and variance of what all networks of an arena have seen (Welford 1962).
 
-    What networks read is (observation - mean) / deviation, where the deviation is the standard
-    deviation, but at least 0.1. All genomes of an arena have the same; an arena's does not depend
-    on those beside.
+    What networks read is (observation - mean) / deviation, clipped, where the deviation is the
+    standard deviation, but at least 0.1. All genomes of an arena have the same; an arena's does
+    not depend on those beside.
 
     Args:
         arenas: Independent populations.
         inputs: Numbers of an observation.
         least: The least deviation: nothing is stretched by more than its inverse, as what hardly
             ever changed would come out huge.
+        largest: What comes out is clipped to [-largest, largest].
 
     Attributes:
         count: Observations so far, float64 [arenas].
@@ -36,8 +37,10 @@ class RunningNormalization:
         torch.Size([1, 50, 4])
     """
 
-    def __init__(self, arenas: int, inputs: int, *, least: float = LEAST_DEVIATION) -> None:
-        self.least = least
+    def __init__(
+        self, arenas: int, inputs: int, *, least: float = LEAST_DEVIATION, largest: float = np.inf
+    ) -> None:
+        self.least, self.largest = least, largest
         self.count = torch.zeros(arenas, dtype=torch.float64)
         self.mean, self.spread = torch.zeros(2, arenas, inputs, dtype=torch.float64)
 
@@ -74,7 +77,8 @@ class RunningNormalization:
         else:
             shape = (len(mean), *(1,) * (observation.ndim - 2), mean.shape[1])
             mean, deviation = mean.view(shape), deviation.view(shape)
-        return ((observation.double() - mean) / deviation).to(observation.dtype)
+        normal = (observation.double() - mean) / deviation
+        return normal.clamp(-self.largest, self.largest).to(observation.dtype)
 
     def state_dict(self) -> dict[str, Any]:
         """All numbers."""

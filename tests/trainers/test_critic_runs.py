@@ -8,10 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from neatq_envs.random_play import EnvFacts, ObservationScaling
 from neatq_torch.genome import ACTIVATIONS
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.arms import preset
+from neatq_trainers.build import build
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import SCALING, load_run
 from neatq_trainers.train import resume, start
@@ -56,6 +59,23 @@ def test_the_scaling_of_a_run_is_what_its_champion_read(tiny_walk: Tiny, tmp_pat
     (champion,) = run.read()["runs"][0]["metrics"]["champions"]
     for name in ("offset", "scale"):
         np.testing.assert_array_equal(own[name], champion["scaling"][name])
+
+
+def test_a_champion_reads_what_it_read_in_life_far_beyond_random_play(tiny_walk: Tiny) -> None:
+    """A value that random play saw in [0, 0.2] and that later goes from 0 to 60."""
+    facts = EnvFacts(ObservationScaling(np.full(2, 0.1), np.full(2, 0.1)), (0.0, 1.0), False, True)
+    run = build(tiny_walk("neat", **NORMAL), facts=facts)
+    raw = np.linspace(0, 60, 200).reshape(100, 2)
+    given = torch.from_numpy(run.world.env.scaling(raw))
+    assert run.normalization is not None
+    run.normalization.add(given[None], torch.ones(1, 100, dtype=torch.bool))
+    own = run.normalization
+    champion = facts.scaling.then(own.mean[0].numpy(), own.deviation[0].numpy())
+    assert run.normalization(given[None])[0].numpy() == pytest.approx(champion(raw), abs=1e-4)
+    rare = np.full((1, 2), 1e4)  # clipped in both
+    given = torch.from_numpy(run.world.env.scaling(rare))
+    assert run.normalization(given[None])[0].tolist() == champion(rare).tolist() == [[10, 10]]
+    run.world.close()
 
 
 def test_without_normalisation_the_scaling_is_that_of_random_play(

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from neatq_envs.random_play import EnvFacts
+from neatq_envs.random_play import LARGEST, EnvFacts
 from neatq_torch.evolution import Population, population_kinds
 from neatq_torch.kinds import ConfigError
 from neatq_torch.learning import (
@@ -55,7 +55,14 @@ def build(
     if state is not None and not state["tick"]:
         state = None
     episodes = config.population.episodes if config.generational else None
-    world = make_world(config.world, config.seeds, episodes=episodes, facts=facts, workers=workers)
+    world = make_world(
+        config.world,
+        config.seeds,
+        episodes=episodes,
+        facts=facts,
+        workers=workers,
+        normalized=config.network.normalization is not None,
+    )
     try:
         return _in_world(config, world, state, episodes)
     except BaseException:
@@ -70,7 +77,7 @@ def _in_world(config: RunConfig, world: World, state: State | None, episodes: in
     shape = world.shape
     normalization = None
     if config.network.normalization is not None:
-        normalization = RunningNormalization(shape[0], world.inputs)
+        normalization = RunningNormalization(shape[0], world.inputs, largest=LARGEST)
     parts = LearnerParts(network, heads, shape, config.seeds, episodes, normalization)
     try:
         learner = learner_kinds.maker_of(config.learner)(config.learner, parts)

@@ -22,7 +22,7 @@ from neatq_envs.episodes import EpisodeError, EpisodeRows, Starts
 from neatq_envs.gymnasium_rows import make_rows
 from neatq_envs.gymnasium_task import PREFIX, GymnasiumTask, TaskError
 from neatq_envs.processes import Remote
-from neatq_envs.random_play import EnvFacts, ObservationScaling, look_around
+from neatq_envs.random_play import EnvFacts, ObservationScaling, WideScaling, look_around
 from neatq_envs.scenario import TASKS, Scenario
 from neatq_envs.sensors import schema_of
 from neatq_envs.torchrl_env import ArenaEnv
@@ -229,6 +229,7 @@ class GymnasiumWorld(World):
         facts: What `facts_of` has found.
         episodes: Of each slot in a generation; None: episode after episode without end.
         workers: Processes among which the environments of this run are dealt.
+        normalized: Whether observations are normalised after they are scaled.
     """
 
     stream = 4
@@ -240,6 +241,8 @@ class GymnasiumWorld(World):
         facts: EnvFacts,
         episodes: int | None,
         workers: int = 1,
+        *,
+        normalized: bool = False,
     ) -> None:
         self.config, self.facts, self._workers = config, facts, workers
         self._generational = episodes is not None
@@ -252,7 +255,7 @@ class GymnasiumWorld(World):
         self.env = GymnasiumRows(
             rows,
             self.interface,
-            facts.scaling,
+            WideScaling(**vars(facts.scaling)) if normalized else facts.scaling,
             shape=shape,
             seeds=seeds,
             episodes=episodes,
@@ -385,14 +388,15 @@ def make_world(
     episodes: int | None,
     facts: EnvFacts | None = None,
     workers: int = 1,
+    normalized: bool = False,
 ) -> World:
-    """The world of a configuration; see `GymnasiumWorld`, which alone asks for `facts`."""
+    """The world of a configuration; see `GymnasiumWorld`, which alone asks for the rest."""
     if isinstance(config, ArenaConfig):
         return ArenaWorld(config, seeds)
     if isinstance(config, EnvConfig):
         return EnvWorld(config, seeds)
     assert facts is not None
-    return GymnasiumWorld(config, seeds, facts, episodes, workers)
+    return GymnasiumWorld(config, seeds, facts, episodes, workers, normalized=normalized)
 
 
 def facts_of(config: WorldConfig, discount: float, *, apart: bool = False) -> EnvFacts | None:
