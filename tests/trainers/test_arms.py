@@ -51,7 +51,7 @@ DEFAULTS = {
     ("learner", "critic"): "7b63066c3b46",
     ("learner", "traces"): "27a1f8b7d1a8",
     ("learner", "table"): "473a57fb72fd",
-    ("population", "rtneat"): "bcb3beb3377b",
+    ("population", "rtneat"): "0279585dedc5",
     ("population", "neat"): "ae8a85d7e691",
     ("population", "fixed"): "6ebd5daf6c3f",
 }
