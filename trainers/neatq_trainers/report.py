@@ -266,7 +266,7 @@ def film(folder: RunFolder, policy: ChampionPolicy) -> list[np.ndarray]:
 
 
 def _frames(task: GymnasiumTask, policy: ChampionPolicy, seed: int) -> list[np.ndarray]:
-    """At most `MOST_FRAMES` pictures of an episode, evenly spaced; few more than that are drawn.
+    """At most `MOST_FRAMES` pictures of an episode, evenly spaced in its steps.
 
     None if the environment draws nothing.
     """
