@@ -44,7 +44,7 @@ class MapElites(nq.FixedPopulation):
         one._ask()
         return one
 
-    def record(self, rewards: Any, done: Any = None, *, behaviour: Any = None, **_: Any) -> None:
+    def record(self, rewards: Any, done: Any = None, *, behaviour: Any = None) -> None:
         for tick in range(np.shape(rewards)[1]):
             self.ends = np.where(self.eligible[:, None], self.ends, behaviour[:, tick])
             super().record(rewards[:, tick : tick + 1], done[:, tick : tick + 1])

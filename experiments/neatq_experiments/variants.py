@@ -189,12 +189,6 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
             summary="replay whose offspring inherit what their parents were born with",
             changes={"learner.inheritance": "darwinian"},
         ),
-        "replay-genes": Variant(
-            base="replay",
-            summary="replay whose learning rate, epsilon and discount evolve, scored without "
-            "exploration",
-            changes={"learner.genes": 0.2},
-        ),
     },
     "critic": {
         "neatq-living": Variant(

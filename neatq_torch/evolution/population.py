@@ -236,9 +236,7 @@ class Population(Kept, ABC):
         return list(self.genomes)
 
     @abstractmethod
-    def record(
-        self, rewards: ArrayLike, done: Data = None, *, behaviour: Data = None, counts: Data = None
-    ) -> None:
+    def record(self, rewards: ArrayLike, done: Data = None, *, behaviour: Data = None) -> None:
         """Let all live through some ticks; how they are cut into batches is no matter.
 
         Args:
@@ -247,7 +245,6 @@ class Population(Kept, ABC):
                 made of episodes.
             behaviour: [slots, ticks, dimensions of behaviour], such as where the robots are, for
                 populations of one's own that seek variety.
-            counts: bool [slots, ticks], the ticks by which robots are judged; None for all.
 
         Raises:
             ValueError: a shape is wrong, something is not finite, or something is missing.
@@ -338,10 +335,8 @@ class Generational(Population):
         """Generations whose lives are over."""
         return self.generation + self.due()
 
-    def record(
-        self, rewards: ArrayLike, done: Data = None, *, behaviour: Data = None, counts: Data = None
-    ) -> None:
-        """See `Population`; `behaviour` and `counts` make no difference here."""
+    def record(self, rewards: ArrayLike, done: Data = None, *, behaviour: Data = None) -> None:
+        """See `Population`; `behaviour` makes no difference here."""
         slots, dimensions = len(self.genomes), self.reward_weights.size
         rewards = checked("rewards", rewards, slots=slots, ticks=None, dimensions=dimensions)
         done = checked("done", done, bool, slots=slots, ticks=rewards.shape[1])

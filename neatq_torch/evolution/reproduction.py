@@ -153,3 +153,23 @@ def choose_parents(
         mates = others[int(rng.integers(len(others)))].members
         return (first, int(mates[fitness[mates].argmax()])), True
     return (first, int(pool[roulette(shares, rng)])), False
+
+
+def choose_survivors(
+    species: Sequence[Species],
+    fitness: NDArray[np.float64],
+    survivors: NDArray[np.intp],
+    config: ReproductionConfig,
+    rng: np.random.Generator,
+) -> tuple[tuple[int, ...], bool]:
+    """As `choose_parents`, among survivors [number] alone, each of them as likely.
+
+    Mates are survivors of the same species.
+    """
+    first = int(rng.choice(survivors))
+    home = next(one for one in species if first in one.members)
+    home.rank(fitness)
+    if rng.random() < config.mutate_only_prob:
+        return (first,), False
+    pool = survivors[np.isin(survivors, home.members)]
+    return (first,) if pool.size == 1 else (first, int(rng.choice(pool))), False

@@ -15,7 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from neatq_torch.evolution.parsimony import front_ranks
 from neatq_torch.evolution.population import Data, LayeredFounders, Population, Replacement
-from neatq_torch.evolution.reproduction import OPENNERO, ReproductionConfig, choose_parents
+from neatq_torch.evolution.reproduction import (
+    OPENNERO,
+    ReproductionConfig,
+    choose_parents,
+    choose_survivors,
+)
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
 from neatq_torch.evolution.trials import Trials, relative_fitness, weighted
 from neatq_torch.kinds import check_fields
@@ -33,6 +38,9 @@ class RtNEATConfig:
         minimum_life_episodes: episodes after which a genome can be judged, instead of ticks; also
             the length of a trial. None for ticks.
         ineligible_fraction: share of the population that is too young to be judged, in (0, 1].
+        survival_share: share of those who can be judged, the fittest, who may breed, all of them as
+            often, in (0, 1]; a mate is of the same species. None: all may, by fitness, as in
+            OpenNERO.
         founders: what the first genomes look like; None: no hidden nodes.
         parsimony: the champion is the smallest network whose average return is within this share of
             the best one, in [0, 1), and who lives and breeds is decided by return and size; see
@@ -47,12 +55,14 @@ class RtNEATConfig:
     minimum_life_ticks: int = 1000
     minimum_life_episodes: int | None = None
     ineligible_fraction: float = 0.5
+    survival_share: float | None = None
     founders: LayeredFounders | None = None
     parsimony: float | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, minimum_life_ticks="[1, inf]", minimum_life_episodes="[1, inf]")
-        check_fields(self, ineligible_fraction="(0, 1]", parsimony="[0, 1)")
+        check_fields(self, ineligible_fraction="(0, 1]", survival_share="(0, 1]")
+        check_fields(self, parsimony="[0, 1)")
 
 
 def interval_ticks(life_ticks: int, slots: int, ineligible_fraction: float) -> float:
@@ -153,11 +163,9 @@ class RtNEAT(Population):
         """See `Population`."""
         return self.speciation.species
 
-    def record(
-        self, rewards: ArrayLike, done: Data = None, *, behaviour: Data = None, counts: Data = None
-    ) -> None:
+    def record(self, rewards: ArrayLike, done: Data = None, *, behaviour: Data = None) -> None:
         """See `Population`; `done` matters to trials of episodes, `behaviour` to nothing."""
-        closing = self.trials.record(rewards, done, counts)
+        closing = self.trials.record(rewards, done)
         self.tick += closing.shape[1]
 
     def due(self) -> int:
@@ -196,9 +204,7 @@ class RtNEAT(Population):
         slot = int(oldest_first[adjusted[oldest_first].argmin()])
         removed = self.genomes[slot].genome_id
         self.speciation.remove(slot)
-        slots, interspecies = choose_parents(
-            self.species, score, eligible, self.config.reproduction, self.rng
-        )
+        slots, interspecies = self._parents(score, eligible)
         genome, parents = self.breed(slots, score, interspecies=interspecies)
         self.genomes[slot] = genome
         self.trials.reset(slot)
@@ -207,3 +213,15 @@ class RtNEAT(Population):
         self.speciation.add(slot, self.genomes)
         self.speciation.count_offspring(self.genomes, self.birth_order)
         return Replacement(slot, genome, removed, parents)
+
+    def _parents(
+        self, score: NDArray[np.float64], eligible: NDArray[np.bool_]
+    ) -> tuple[tuple[int, ...], bool]:
+        """See `choose_parents`; with a `survival_share` see `choose_survivors`."""
+        share, means = self.config.survival_share, (self.config.reproduction, self.rng)
+        if share is None:
+            return choose_parents(self.species, score, eligible, *means)
+        survivors = np.flatnonzero(eligible)
+        best_first = survivors[np.argsort(-score[survivors], kind="stable")]
+        survivors = best_first[: max(1, floor(share * survivors.size))]
+        return choose_survivors(self.species, score, survivors, *means)

@@ -59,12 +59,11 @@ class Trials(Kept):
         latest: float64 [slots, dimensions], value of the last closed trial; 0 before the first.
         closed: int64 [slots], number of closed trials.
         running: int64 [slots], ticks of the running trial.
-        counted: int64 [slots], those of them that count.
         ended: int64 [slots], episodes of the running trial that ended.
         total: closed trials of all that ever lived.
     """
 
-    ARRAYS = ("age_ticks", "sums", "averages", "latest", "closed", "running", "counted", "ended")
+    ARRAYS = ("age_ticks", "sums", "averages", "latest", "closed", "running", "ended")
     kept = (*ARRAYS, "total")
 
     def __init__(
@@ -72,24 +71,18 @@ class Trials(Kept):
     ) -> None:
         self.by_ticks, self.length = trial_episodes is None, trial_episodes or trial_ticks
         self.sums, self.averages, self.latest = np.zeros((3, slots, dimensions))
-        counters = np.zeros((5, slots), dtype=np.int64)
-        self.age_ticks, self.closed, self.running, self.counted, self.ended = counters
+        counters = np.zeros((4, slots), dtype=np.int64)
+        self.age_ticks, self.closed, self.running, self.ended = counters
         self.total = 0
 
-    def record(
-        self, rewards: ArrayLike, done: ArrayLike | None = None, counts: ArrayLike | None = None
-    ) -> NDArray[np.bool_]:
+    def record(self, rewards: ArrayLike, done: ArrayLike | None = None) -> NDArray[np.bool_]:
         """Add rewards, see `Population.record`; the ticks with which a trial closes [slots, ticks].
 
-        Only trials made of episodes look at `done`. Ticks that do not count are taken to have
-        brought as much as the others of the trial on average, or nothing where none counts.
+        Only trials made of episodes look at `done`.
         """
         slots, dimensions = self.sums.shape
         rewards = checked("rewards", rewards, slots=slots, ticks=None, dimensions=dimensions)
         slots, ticks = shape = rewards.shape[:2]
-        counts = np.ones(shape) if counts is None else counts
-        counts = checked("counts", counts, bool, slots=slots, ticks=ticks)
-        rewards = np.where(counts[..., None], rewards, 0.0)
         # Every tick is done with where ticks make a trial.
         done = np.ones(shape) if self.by_ticks else done
         done = checked("done", done, bool, slots=slots, ticks=ticks)
@@ -104,7 +97,6 @@ class Trials(Kept):
             # makes the result the same for every cut into batches.
             parts = np.concatenate([self.sums[:, None], rewards[:, start:end]], axis=1)
             self.sums = np.add.accumulate(parts, axis=1)[:, -1]
-            self.counted += np.count_nonzero(counts[:, start:end], axis=1)
             self.running += end - start
             self.age_ticks += end - start
             self._close(np.flatnonzero(closing[:, end - 1]))
@@ -114,13 +106,11 @@ class Trials(Kept):
         self.total += slots.size
         self.closed[slots] += 1
         closed, old = self.closed[slots, None], self.averages[slots]
-        # A factor of exactly 1 where all ticks count.
-        whole = self.running[slots, None] / self.counted[slots, None].clip(1)
-        value = self.sums[slots] * whole / (1 if self.by_ticks else self.length)
+        value = self.sums[slots] / (1 if self.by_ticks else self.length)
         added = closed <= (2 if self.by_ticks else 1)
         self.averages[slots] = np.where(added, old + value / closed, old + (value - old) / 2)
         self.latest[slots] = value
-        self.sums[slots], self.running[slots], self.counted[slots] = 0.0, 0, 0
+        self.sums[slots], self.running[slots] = 0.0, 0
 
     def reset(self, slot: int) -> None:
         """Start a new life in a slot: nothing of the old one is left."""

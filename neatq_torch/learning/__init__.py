@@ -1,9 +1,8 @@
 """Acting and temporal-difference learning, as TorchRL parts."""
 
 from neatq_torch.learning.candidates import CandidatePolicy, CandidateValue
-from neatq_torch.learning.critic_learner import CriticLearner
+from neatq_torch.learning.critic_learner import CriticLearner, Teacher
 from neatq_torch.learning.exploration import ActionNoise, EpsilonGreedy
-from neatq_torch.learning.genes import LearningGenes
 from neatq_torch.learning.heads import CandidateHeads, DiscreteHeads, Heads
 from neatq_torch.learning.learner import (
     Learner,
@@ -20,6 +19,7 @@ from neatq_torch.learning.registry import LearnerParts, learner_kinds, register_
 from neatq_torch.learning.replay import ReplayConfig, ReplayLearner
 from neatq_torch.learning.shared_critic import CriticConfig
 from neatq_torch.learning.table import TableConfig, TableLearner
+from neatq_torch.learning.teachers import Teachers
 from neatq_torch.learning.traces import TraceConfig, TraceLearner
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 
@@ -37,7 +37,6 @@ __all__ = [
     "Heads",
     "Learner",
     "LearnerParts",
-    "LearningGenes",
     "NoLearningConfig",
     "ReplayConfig",
     "ReplayLearner",
@@ -47,6 +46,8 @@ __all__ = [
     "TDLearner",
     "TableConfig",
     "TableLearner",
+    "Teacher",
+    "Teachers",
     "TraceConfig",
     "TraceLearner",
     "WireFittingLoss",

@@ -238,8 +238,12 @@ def teach(
     seen: Tensor,
     critic: TwinCritic,
     rate: float,
+    wanted: Tensor | None = None,
 ) -> None:
-    """Let networks follow a critic, a step on each minibatch [minibatches, size, inputs]."""
+    """Let networks follow a critic, a step on each minibatch [minibatches, size, inputs].
+
+    Or come nearer to outputs that are wanted [minibatches, size, outputs]; see `toward`.
+    """
     _, size, inputs = seen.shape
     plan, width, judge = network.plan, critic.sizes[1], critic.weight.detach().numpy()
     boxed = critic.sizes[0] > inputs  # it reads actions, too
@@ -251,10 +255,14 @@ def teach(
     output, lesson = np.empty((2, len(weight), size, network.outputs), np.float32)
     state = np.zeros((len(weight), size, network.state_size), np.float32)
     kept, nothing = np.empty_like(state), np.zeros_like(state)
-    for minibatch in seen.numpy():
+    toward = None if wanted is None else wanted.numpy()
+    for number, minibatch in enumerate(seen.numpy()):
         observation = np.repeat(minibatch[None], len(weight), 0)
         kernels.forward(program, plan.layout.rows, weight, observation, state, output, kept)
-        lesson_of(judge, width, minibatch, output, lesson)
+        if toward is None:
+            lesson_of(judge, width, minibatch, output, lesson)
+        else:
+            np.multiply(output - toward[number], F2 / np.float32(size), lesson)
         gradient[:] = 0
         went = kernels.Batch(observation, state, output, state)
         told = kernels.Batch(observation, state, lesson, nothing)

@@ -13,7 +13,6 @@ from typing import NamedTuple, cast
 import numpy as np
 from numba import njit
 from tensordict import TensorDictBase
-from torch import Tensor
 
 from neatq_torch.jit import cached_njit
 from neatq_torch.learning.compiled_descent import F0, F1, F2, descend
@@ -86,21 +85,18 @@ def newborns_of(learner: TDLearner, slots: Sequence[int]) -> Pupils:
     return Pupils(program, plan.layout.rows, *own)
 
 
-def learn(
-    pupils: Pupils, learner: TDLearner, drawn: TensorDictBase, steps: int, discount: Tensor | None
-) -> Floats:
+def learn(pupils: Pupils, learner: TDLearner, drawn: TensorDictBase, steps: int) -> Floats:
     """Take one step on each minibatch, as the learner would: its networks or others, the pupils.
 
-    These stand arena after arena, each with a gamma of its own in `discount`; None: with the
-    loss's, and rewards are summed up already. They learn from `drawn` [arenas, steps * size].
-    Returns the mean squared TD error of each network on the last minibatch [networks].
+    These stand arena after arena and learn from `drawn` [arenas, steps * size]. Returns the mean
+    squared TD error of each network on the last minibatch [networks].
     """
     networks, arenas, wires = len(pupils.weight), len(drawn), _wires_of(learner)
     observation, following, action = (
         _part(drawn, name, steps) for name in ("observation", ("next", "observation"), "action")
     )
-    reward, ahead = _returns(learner, drawn, steps, discount)
-    reward, ahead = (np.repeat(one, networks // len(one), 0) for one in (reward, ahead))
+    returns = _returns(learner, drawn, steps)
+    reward, ahead = (np.repeat(one, networks // arenas, 0) for one in returns)
     each = (networks, action.shape[2])
     output, slope = np.empty((2, *each, learner.network.outputs), np.float32)
     state = np.zeros((*each, learner.network.state_size), np.float32)
@@ -140,28 +136,17 @@ def _part(drawn: TensorDictBase, name: str | tuple[str, str], steps: int) -> Flo
     return rows.reshape(len(drawn), steps, -1, rows.shape[-1])
 
 
-def _returns(
-    learner: TDLearner, drawn: TensorDictBase, steps: int, discount: Tensor | None
-) -> tuple[Floats, Floats]:
-    """Weighed sums of rewards, and discounts of the next state's value, 0 where it is terminal.
+def _returns(learner: TDLearner, drawn: TensorDictBase, steps: int) -> tuple[Floats, Floats]:
+    """Weighed rewards, and discounts of the next state's value, 0 where it is terminal.
 
-    For each arena, or each network if these have discounts of their own [rows, steps, size].
+    Both are [arenas, steps, size].
     """
     names = ("next", "reward"), "steps_to_next_obs", ("next", "terminated")
-    reward, ahead, over = (_part(drawn, name, steps) for name in names)
-    ahead, going_on = ahead[..., 0], 1 - over[..., 0]
-    if discount is None:
-        gamma = np.array([discount_of(learner.loss)])
-    else:
-        gamma = discount.flatten().numpy().astype(np.float64)
-        sharing = len(gamma) // len(drawn)
-        reward, ahead, going_on = (np.repeat(one, sharing, 0) for one in (reward, ahead, going_on))
-    weight = gamma[:, None] ** np.arange(reward.shape[-1])
+    reward, ahead, over = (_part(drawn, name, steps)[..., 0] for name in names)
+    gamma = discount_of(learner.loss)
     if learner.loss.normalize_return:
-        weight *= 1 - gamma[:, None]
-    each = gamma.astype(np.float32)[:, None, None]
-    total = (reward @ weight.astype(np.float32)[:, None, :, None])[..., 0]
-    return total, going_on * np.power(each, ahead, dtype=np.float32)
+        reward = reward * np.float32(1 - gamma)
+    return reward, (1 - over) * np.power(np.float32(gamma), ahead)
 
 
 @cached_njit(error_model="numpy")

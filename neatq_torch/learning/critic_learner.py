@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from enum import IntEnum
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -15,8 +17,23 @@ from neatq_torch.learning.heads import CandidateHeads, Heads
 from neatq_torch.learning.learner import Adams, Learner, Saved, adam, take_over
 from neatq_torch.learning.memory import over_horizon
 from neatq_torch.learning.normalization import RunningNormalization
+from neatq_torch.learning.novelty import ExplorerReward
 from neatq_torch.learning.shared_critic import CriticConfig, SharedCritic
 from neatq_torch.network import PopulationNetwork, fitted
+
+
+class Teacher(IntEnum):
+    """By whom a newborn is taught before its first step.
+
+    Attributes:
+        CRITIC: What the rewards are worth.
+        EXPLORER: What the rewards and places where nobody was lately are worth together.
+        MODEL: What the fittest of the arena did, whatever it was worth (social learning).
+    """
+
+    CRITIC = 0
+    EXPLORER = 1
+    MODEL = 2
 
 
 class CriticLearner(Learner):
@@ -27,6 +44,9 @@ class CriticLearner(Learner):
     their first step, which costs none; those alive learn during their lives. Critic and memory end
     with the run: what acts, breeds and is exported are the networks.
 
+    With `teacher_mutation` some newborns learn from an explorer's critic, or from what the fittest
+    of their arena did, instead: see `Teachers`, which says who.
+
     Recurrent state counts as empty in what is learnt.
 
     Args:
@@ -35,6 +55,10 @@ class CriticLearner(Learner):
         config: Sizes and rates.
         seeds: One for each arena.
         normalization: Of what networks and critic read; None: that is what the world gives.
+
+    Attributes:
+        teachers: The `Teacher` of each network, int64 [arenas, slots].
+        models: Genome ids of whom the model's pupils imitate, -1 for nobody, int64 [arenas].
 
     Raises:
         ConfigError: If there is more than one candidate.
@@ -60,6 +84,15 @@ class CriticLearner(Learner):
         self.network, self.config, self.normalization = network, config, normalization
         sizes, weight = (network.inputs, network.shape[1]), network.weight
         self.critics = [SharedCritic(config, heads, *sizes, seed) for seed in seeds]
+        self.explorers: list[SharedCritic] = []
+        if config.teacher_mutation is not None and config.novelty is not None:
+            self.explorers = [
+                SharedCritic(config, heads, *sizes, seed + 1, beside=critic)
+                for seed, critic in zip(seeds, self.critics, strict=True)
+            ]
+        self.new_places = [ExplorerReward(config.novelty or 0) for _ in self.explorers]
+        self.teachers = np.zeros(network.shape, np.int64)
+        self.models = np.full(len(seeds), -1)
         self.steps = weight.new_zeros(len(weight))
         self.first_moment = torch.zeros_like(weight, requires_grad=False)
         self.second_moment = torch.zeros_like(weight, requires_grad=False)
@@ -71,6 +104,8 @@ class CriticLearner(Learner):
             Mean squared TD error of the critic in its last step [arenas, slots]; 0 without one.
         """
         ahead = over_horizon(batch, self.config.horizon, self.config.discount)
+        if self.explorers:
+            self._explore(batch, ahead)
         for arena, critic in enumerate(self.critics):
             critic.remember(ahead[arena], batch[arena])
         errors: dict[int, Tensor] = {}
@@ -81,6 +116,16 @@ class CriticLearner(Learner):
         for arena, last in errors.items():  # only here the host waits for the device
             error[arena] = last
         return error
+
+    def _explore(self, batch: TensorDictBase, ahead: TensorDictBase) -> None:
+        """Put an explorer's rewards beside those of transitions that look ahead."""
+        rewards = torch.stack([one.of(batch[arena]) for arena, one in enumerate(self.new_places)])
+        following = batch.get("next").clone(recurse=False).set("reward", rewards)
+        seen = batch.clone(recurse=False).set("next", following)
+        own = over_horizon(seen, self.config.horizon, self.config.discount).get(("next", "reward"))
+        ahead.set(("next", "reward"), torch.cat([ahead.get(("next", "reward")), own], -1))
+        for arena, explorer in enumerate(self.explorers):
+            explorer.watch(batch[arena], rewards[arena])
 
     def _learn(self, soon: dict[int, int]) -> dict[int, Tensor]:
         """So many steps of the critics of some arenas, and one of their networks where it is due.
@@ -93,6 +138,9 @@ class CriticLearner(Learner):
         errors = {
             arena: self.critics[arena].learn(rows, outputs[arena]) for arena, rows in drawn.items()
         }
+        if self.explorers:
+            for arena, rows in drawn.items():
+                self.explorers[arena].learn(rows, outputs[arena])
         every, slots = self.config.every, self.network.shape[1]
         for arena in soon:
             if every and self.critics[arena].steps % every == 0:
@@ -117,10 +165,10 @@ class CriticLearner(Learner):
             outputs = self.network.step(asked)[0].transpose(1, 2).flatten(1, 2)
         return {arena: outputs[arena, : len(rows)] for arena, rows in observations.items()}
 
-    def _drawn(self, arena: int, size: int, *names: str) -> Saved:
+    def _drawn(self, arena: int, size: int, *names: str, owner: int | None = None) -> Saved:
         """Columns of transitions of an arena, with observations as they are read."""
         critic = self.critics[arena]
-        rows = critic.memory.draw(size, critic.generator, *names)
+        rows = critic.memory.draw(size, critic.generator, *names, owner=owner)
         if self.normalization is not None:
             for name in rows.keys() & {"observation", "next_observation"}:
                 rows[name] = self.normalization(rows[name], arena)
@@ -135,10 +183,15 @@ class CriticLearner(Learner):
             setattr(self, name, moment.masked_fill(born.unsqueeze(1), 0))
         for arena, critic in enumerate(self.critics):
             critic.returns = critic.returns.masked_fill(newborn[arena], 0)
-            if critic.steps and newborn[arena].any():
-                self._teach_newborns(arena, newborn[arena].nonzero().flatten().tolist())
+            if self.explorers:
+                own = self.explorers[arena]
+                own.returns = own.returns.masked_fill(newborn[arena], 0)
+            for teacher in Teacher if critic.steps else ():
+                taught = newborn[arena].numpy() & (self.teachers[arena] == teacher)
+                if taught.any():
+                    self._teach_newborns(arena, np.flatnonzero(taught).tolist(), teacher)
 
-    def _teach_newborns(self, arena: int, slots: Sequence[int]) -> None:
+    def _teach_newborns(self, arena: int, slots: Sequence[int], teacher: Teacher) -> None:
         """Let newborns learn before their first step."""
         first = arena * self.network.shape[1]
         genomes = [self.network.genome(first + slot) for slot in slots]
@@ -148,25 +201,40 @@ class CriticLearner(Learner):
             weight = young.weight.detach()
             first_moment, second_moment = weight.new_zeros(2, *weight.shape)
             adams = weight.new_zeros(len(weight)), first_moment, second_moment
-            self._teach(young, 0, arena, adams, self.config.newborn_updates)
+            self._teach(young, 0, arena, adams, self.config.newborn_updates, teacher)
         for slot, genome in zip(slots, young.genomes(), strict=True):
             self.network.replace(first + slot, genome)
 
     def _teach(
-        self, network: PopulationNetwork, row: int, arena: int, adams: Adams, updates: int
+        self,
+        network: PopulationNetwork,
+        row: int,
+        arena: int,
+        adams: Adams,
+        updates: int,
+        teacher: Teacher = Teacher.CRITIC,
     ) -> None:
-        """Let the networks of a row follow an arena's critic, by so many minibatches."""
+        """Let the networks of a row learn from a teacher of an arena, by so many minibatches."""
         critic, slots, rate = self.critics[arena], network.shape[1], self.config.learning_rate
         own, size = slice(row * slots, (row + 1) * slots), self.config.policy_size
-        drawn = self._drawn(arena, updates * size, "observation")["observation"]
-        seen = drawn.view(updates, size, -1)
+        if teacher is Teacher.EXPLORER:
+            critic = self.explorers[arena]
+        model = int(self.models[arena]) if teacher is Teacher.MODEL else None
+        names = ("observation",) if model is None else ("observation", "action")
+        drawn = self._drawn(arena, updates * size, *names, owner=model)
+        seen, wanted = drawn["observation"].view(updates, size, -1), None
+        if model is not None:
+            wanted = ((critic.unit(drawn["action"]) + 1) / 2).view(updates, size, -1)
         if compiled_critic.accepts(network.weight, seen):
-            compiled_critic.teach(network, own, adams, seen, critic.critic, rate)
+            compiled_critic.teach(network, own, adams, seen, critic.critic, rate, wanted)
             return
-        for observation in seen:
+        for number, observation in enumerate(seen):
             outputs = network.step(observation.expand(*network.shape, -1, -1))[0]
             lesson = torch.zeros_like(outputs)
-            lesson[row] = critic.lesson(observation, outputs[row])
+            if wanted is None:
+                lesson[row] = critic.lesson(observation, outputs[row])
+            else:
+                lesson[row] = (outputs[row] - wanted[number]) * (2 / size)
             (gradient,) = torch.autograd.grad(outputs, network.weight, lesson)
             with torch.no_grad():
                 weight = network.weight[own]
@@ -189,17 +257,24 @@ class CriticLearner(Learner):
 
     def state_dict(self) -> Saved:
         """Critics, memories, moments and the state of all chance."""
-        return {
+        state = {
             "critics": [critic.state_dict() for critic in self.critics],
             "steps": self.steps,
             "first_moment": self.first_moment,
             "second_moment": self.second_moment,
         }
+        if self.explorers:
+            state["explorers"] = [critic.state_dict() for critic in self.explorers]
+            state["new_places"] = [one.state_dict() for one in self.new_places]
+        return state
 
     def load_state_dict(self, state: Saved) -> None:
         """Go on from `state`."""
         for critic, saved in zip(self.critics, state["critics"], strict=True):
             critic.load_state_dict(saved)
+        for name in ("explorers", "new_places") if self.explorers else ():
+            for own, saved in zip(getattr(self, name), state[name], strict=True):
+                own.load_state_dict(saved)
         for name in ("steps", "first_moment", "second_moment"):
             own = getattr(self, name)
             own.copy_(fitted(state[name], own) if own.ndim > 1 else torch.as_tensor(state[name]))

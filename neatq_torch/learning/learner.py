@@ -104,8 +104,6 @@ class StepConfig:
         max_hold_ticks: Longest run of an explored candidate; 1 is plain epsilon-greedy.
         inheritance: lamarckian: children inherit the weights that were learnt; darwinian: those
             of birth.
-        genes: Learning rate, epsilon and 1 - discount are genes (`LearningGenes`), mutated by this
-            standard deviation of their logarithm; None: all robots have those given here.
 
     Example:
         >>> @dataclass(frozen=True, kw_only=True)
@@ -121,17 +119,11 @@ class StepConfig:
     epsilon: float = 0.1
     max_hold_ticks: int = 1
     inheritance: Inheritance = "lamarckian"
-    genes: float | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, learning_rate="[0, inf)", optimizer=Optimizer, target_tau="(0, 1]")
         check_fields(self, discount="[0, 1]", epsilon="[0, 1]", max_hold_ticks="[1, inf]")
-        check_fields(self, inheritance=Inheritance, genes="(0, inf)")
-        if self.genes and not (self.epsilon and self.learning_rate and self.discount < 1):
-            raise ValueError(
-                "genes: founders need an epsilon and a learning_rate above 0 and a discount below "
-                f"1, got {self.epsilon}, {self.learning_rate} and {self.discount}"
-            )
+        check_fields(self, inheritance=Inheritance)
 
 
 @dataclass(frozen=True, kw_only=True)

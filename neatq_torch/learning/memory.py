@@ -21,21 +21,24 @@ class TransitionMemory:
     """The latest transitions of a population, whoever made them.
 
     Keeps observation, action, reward, next observation, how many ticks lie between the two
-    (`steps_to_next_obs`, 1 where nothing is said) and whether the latter was terminal; of the
-    genome that acted it keeps nothing, so that any other can learn from them.
+    (`steps_to_next_obs`, 1 where nothing is said) and whether the latter was terminal. Any genome
+    can learn from them, whoever made them; with `owners` it can learn from those of one.
 
     Args:
         capacity: Transitions kept; the oldest make room.
         device: Where they are kept.
+        owners: Whether the genome that acted is kept, too (`genome_id`).
 
     Raises:
         ValueError: If the capacity is less than 1.
     """
 
-    def __init__(self, capacity: int, device: torch.device | str = "cpu") -> None:
+    def __init__(
+        self, capacity: int, device: torch.device | str = "cpu", *, owners: bool = False
+    ) -> None:
         if capacity < 1:
             raise ValueError(f"capacity: expected at least 1, got {capacity}")
-        self.capacity, self.device = capacity, torch.device(device)
+        self.capacity, self.device, self.owners = capacity, torch.device(device), owners
         self._columns: dict[str, Tensor] = {}
         self._added = 0
 
@@ -52,6 +55,8 @@ class TransitionMemory:
         steps = batch.get("steps_to_next_obs", torch.ones_like(batch.get("genome_id")))
         columns = {name: batch.get(name) for name in NOW[:2]} | {NOW[2]: steps}
         columns |= {f"next_{name}": batch.get(("next", name)) for name in NEXT}
+        if self.owners:
+            columns["genome_id"] = batch.get("genome_id")
         self._store({name: column[own] for name, column in columns.items()})
 
     def _store(self, rows: dict[str, Tensor]) -> None:
@@ -77,20 +82,34 @@ class TransitionMemory:
         following = {name: rows[f"next_{name}"] for name in NEXT}
         return TensorDict({name: rows[name] for name in NOW} | {"next": following}, [size])
 
-    def draw(self, size: int, generator: torch.Generator, *names: str) -> Saved:
+    def draw(
+        self, size: int, generator: torch.Generator, *names: str, owner: int | None = None
+    ) -> Saved:
         """As `sample`, but plain columns, those of `next` with that before their names.
 
-        Only those columns that are named, or all.
+        Only those columns that are named, or all; with an `owner`, of those that it made.
         """
-        if not len(self):
+        ages = None if owner is None else self._ages(owner)
+        kept = len(self) if ages is None else len(ages)
+        if not kept:
             raise ValueError("expected stored transitions to draw from, got none: extend first")
-        return self._rows(torch.randint(len(self), (size,), generator=generator), names)
+        drawn = torch.randint(kept, (size,), generator=generator)
+        return self._rows(drawn if ages is None else ages[drawn], names)
+
+    def _ages(self, owner: int) -> Tensor:
+        """Of the transitions that a genome made, the oldest first."""
+        own = self._columns["genome_id"][: len(self)].flatten() == owner
+        return ((own.nonzero().flatten().cpu() - self._oldest) % self.capacity).sort().values
+
+    @property
+    def _oldest(self) -> int:
+        """Where the oldest transition stands."""
+        return self._added % self.capacity if self._added > self.capacity else 0
 
     def _rows(self, ages: Tensor, names: Sequence[str] = ()) -> Saved:
         """Transitions by age, 0 for the oldest."""
         # Not by where they stand: what is restored stands elsewhere.
-        oldest = self._added % self.capacity if self._added > self.capacity else 0
-        rooms = ((ages + oldest) % self.capacity).to(self.device)
+        rooms = ((ages + self._oldest) % self.capacity).to(self.device)
         # A quarter of the time that brackets take.
         return {name: self._columns[name].index_select(0, rooms) for name in names or self._columns}
 
@@ -108,7 +127,7 @@ class TransitionMemory:
 
 
 def over_horizon(
-    batch: TensorDictBase, ticks: int, discount: float | None, *, keep_every: int = 1
+    batch: TensorDictBase, ticks: int, discount: float, *, keep_every: int = 1
 ) -> TensorDict:
     """Transitions that reach so many ticks ahead, for n-step returns (Sutton 1988).
 
@@ -122,8 +141,7 @@ def over_horizon(
         batch: [..., ticks] with `observation`, `action`, `genome_id` and
             `("next", observation / reward / terminated / done)`.
         ticks: n, at least 1.
-        discount: gamma. None: the rewards are left as they are, a column for each tick and 0 after
-            the last, for networks that weigh them by a gamma of their own (`summed_up`).
+        discount: gamma.
         keep_every: Of the ticks of the batch, one in so many begins a transition.
 
     Returns:
@@ -135,8 +153,7 @@ def over_horizon(
     )
     done = done.copy()
     done[:, :-1] |= owner[:, 1:] != owner[:, :-1]
-    own = discount is None
-    rewards, steps = _ahead(reward, done, ticks, 1.0 if own else discount, keep_every, own)
+    rewards, steps = _ahead(reward, done, ticks, discount, keep_every)
     shape = (*batch.shape[:-1], steps.shape[-1], 1)
     ahead = torch.from_numpy(steps).view(shape)
     first = torch.arange(0, batch.shape[-1], keep_every).unsqueeze(-1)
@@ -146,7 +163,7 @@ def over_horizon(
         return values.gather(-2, ticks.expand(*shape[:-1], values.shape[-1]))
 
     following = {name: at(name, first + ahead - 1) for name in ("observation", "terminated")}
-    following["reward"] = torch.from_numpy(rewards).view(*shape[:-1], -1)
+    following["reward"] = torch.from_numpy(rewards).view(shape)
     names = ("observation", "action", "genome_id")
     now = {name: batch.get(name)[..., ::keep_every, :].cpu() for name in names}
     return TensorDict(now | {"steps_to_next_obs": ahead, "next": following}, shape[:-1])
@@ -159,30 +176,20 @@ def _ahead(
     ticks: int,
     discount: float,
     keep_every: int,
-    by_tick: bool,
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Rewards [robots, kept, 1: the discounted sum, or one a tick], and of how many ticks."""
+    """Discounted sums of rewards, and of how many ticks [robots, kept]."""
     robots, length = reward.shape
     kept = (length + keep_every - 1) // keep_every
-    rewards = np.zeros((robots, kept, ticks if by_tick else 1), np.float32)
+    rewards = np.zeros((robots, kept), np.float32)
     steps = np.zeros((robots, kept), np.int64)
     for robot in range(robots):
         for begun in range(kept):
             first, weight, total = begun * keep_every, 1.0, 0.0
             for tick in range(first, min(first + ticks, length)):
-                if by_tick:
-                    rewards[robot, begun, tick - first] = reward[robot, tick]
                 total += weight * reward[robot, tick]
                 weight *= discount
                 steps[robot, begun] += 1
                 if done[robot, tick]:
                     break
-            if not by_tick:
-                rewards[robot, begun, 0] = total
+            rewards[robot, begun] = total
     return rewards, steps
-
-
-def summed_up(rewards: Tensor, discount: Tensor) -> Tensor:
-    """Discounted sums [..., 1] of rewards by tick [..., ticks], by a gamma for each row [...]."""
-    weight = discount.unsqueeze(-1) ** torch.arange(rewards.shape[-1], device=discount.device)
-    return (weight * rewards).sum(-1, keepdim=True)

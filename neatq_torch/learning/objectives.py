@@ -32,7 +32,6 @@ class CandidateTDLoss(DQNLoss):
         normalize_return: Weigh rewards by 1 - gamma. The return of rewards in [0, 1] then lies in
             [0, 1], within the reach of a sigmoid; without it a sigmoid can never meet the target
             r + gamma max Q of rewards near 1.
-        discount: gamma of each robot [*shape]; None for the estimator's own.
         reduction: `sum`, `mean` or `none`.
 
     Input: `candidate_index` [*shape, ticks], the value network's inputs now and next, and
@@ -52,7 +51,6 @@ class CandidateTDLoss(DQNLoss):
 
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
-    discount: Tensor | None
 
     def __init__(
         self,
@@ -60,7 +58,6 @@ class CandidateTDLoss(DQNLoss):
         *,
         delay_value: bool = False,
         normalize_return: bool = False,
-        discount: Tensor | None = None,
         reduction: str = "sum",
     ) -> None:
         super().__init__(
@@ -70,7 +67,6 @@ class CandidateTDLoss(DQNLoss):
             reduction=reduction,
         )
         self.normalize_return = normalize_return
-        self.register_buffer("discount", discount, persistent=False)
 
     @dispatch  # pyright: ignore[reportArgumentType]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -92,20 +88,17 @@ class CandidateTDLoss(DQNLoss):
     @torch.no_grad()
     def _target(self, data: TensorDictBase) -> Tensor:
         estimator = self.value_estimator
-        reward = data.get(("next", self.tensor_keys.reward))
-        if self.discount is not None:
-            missing = reward.ndim - self.discount.ndim
-            estimator.gamma = self.discount[(...,) + (None,) * missing].expand_as(reward)
         if self.normalize_return:
             gamma = estimator.gamma
             assert isinstance(gamma, Tensor)
             # `data` is a shallow copy; its nested tensordict is not, and must be left alone.
             following = data.get("next").clone(False)
+            reward = following.get(self.tensor_keys.reward)
             following.set(self.tensor_keys.reward, reward * (1 - gamma))
             data = data.copy().set("next", following)
         return estimator.value_estimate(data, target_params=self.target_value_network_params)
 
 
 def discount_of(loss: CandidateTDLoss) -> float:
-    """Gamma of a loss whose robots all have the same."""
+    """Gamma of a loss."""
     return float(cast(Tensor, loss.value_estimator.gamma))

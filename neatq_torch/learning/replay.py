@@ -14,7 +14,7 @@ from neatq_torch.kinds import check_fields
 from neatq_torch.learning import compiled_wires
 from neatq_torch.learning.heads import CandidateHeads
 from neatq_torch.learning.learner import Saved, StepConfig, TDLearner
-from neatq_torch.learning.memory import NEXT, NOW, TransitionMemory, over_horizon, summed_up
+from neatq_torch.learning.memory import NEXT, NOW, TransitionMemory, over_horizon
 from neatq_torch.learning.objectives import CandidateTDLoss, discount_of
 from neatq_torch.learning.wire_fitting import WireFittingLoss
 from neatq_torch.network import PopulationNetwork
@@ -108,8 +108,7 @@ class ReplayLearner:
         Returns:
             Mean squared TD error of each network on the last minibatch [arenas, robots].
         """
-        loss, config = self.learner.loss, self.config
-        gamma = discount_of(loss) if loss.discount is None else None
+        config, gamma = self.config, discount_of(self.learner.loss)
         ahead = over_horizon(batch, config.horizon, gamma, keep_every=config.keep_every)
         for memory, own in zip(self.memories, ahead, strict=True):
             memory.extend(cast(TensorDictBase, own).reshape(-1))
@@ -134,20 +133,18 @@ class ReplayLearner:
         self.learner.reset(newborn)
 
     def _teach(self, newborn: Tensor) -> None:
-        network, config, discount = self.learner.network, self.config, self.learner.loss.discount
+        network, config = self.learner.network, self.config
         slots = newborn.flatten().nonzero().flatten().tolist()
         stores = self.memories, self.generators, [slot // network.shape[1] for slot in slots]
-        own = None if discount is None else discount.flatten()[slots]
         if compiled_wires.can_teach(self.learner):
             pupils = compiled_wires.newborns_of(self.learner, slots)
             drawn = _draw(*stores, config.newborn_updates * config.size)
-            compiled_wires.learn(pupils, self.learner, drawn, config.newborn_updates, own)
+            compiled_wires.learn(pupils, self.learner, drawn, config.newborn_updates)
             network.weight.data[slots] = torch.from_numpy(pupils.weight)
             return
         genomes = [network.genome(slot) for slot in slots]
         young = PopulationNetwork(genomes, shape=(len(slots), 1), evaluation=network.evaluation)
         loss = self._make_loss(young.to(network.weight.device))
-        loss.discount = None if own is None else own.unsqueeze(1)
         learner = TDLearner(young, loss, self.learner.config)
         rehearse(learner, *stores, steps=config.newborn_updates, batch=config.size)
         for slot, genome in zip(slots, young.genomes(), strict=True):
@@ -190,7 +187,7 @@ def rehearse(
     network = learner.network
     if compiled_wires.can_teach(learner):
         pupils = compiled_wires.pupils_of(learner)
-        last = compiled_wires.learn(pupils, learner, drawn, steps, learner.loss.discount)
+        last = compiled_wires.learn(pupils, learner, drawn, steps)
         return torch.from_numpy(last).view(network.shape)
     error = torch.zeros_like(network.genome_id, dtype=torch.float32)
     for part in drawn.to(network.weight.device).split(batch, 1):
@@ -211,7 +208,7 @@ def _draw(
 
 def _for_all(learner: TDLearner, drawn: TensorDictBase) -> TensorDict:
     """A minibatch [arenas, size] as transitions [arenas, robots, size] of every network."""
-    network, discount = learner.network, learner.loss.discount
+    network = learner.network
     shape = (*network.shape, drawn.shape[1])
 
     def spread(name: str | tuple[str, str]) -> Tensor:
@@ -220,8 +217,6 @@ def _for_all(learner: TDLearner, drawn: TensorDictBase) -> TensorDict:
 
     now = {name: spread(name) for name in NOW}
     following = {name: spread(("next", name)) for name in NEXT}
-    if discount is not None:
-        following["reward"] = summed_up(following["reward"], discount.unsqueeze(-1))
     # Every transition is an episode of its own, so that no return goes on into the next row.
     following["done"] = torch.ones_like(following["terminated"])
     now["candidate_index"] = now["action"][..., 0].long()

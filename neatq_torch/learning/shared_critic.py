@@ -34,6 +34,10 @@ class CriticConfig:
         every: Steps of the critic for each step of the networks that are alive; None: they learn
             before their life only.
         newborn_updates: Steps of a newborn before its life.
+        teacher_mutation: Probability that a newborn's teacher is drawn anew instead of inherited:
+            the critic, the fittest as a model or an explorer's critic (`Teachers`). None: the
+            critic teaches all.
+        novelty: Share of the new in an explorer's reward (`ExplorerReward`). None: no explorers.
         size: Transitions of a minibatch of the critic.
         policy_size: Observations of a minibatch of the networks.
         horizon: Steps of reward that a transition sums up before the value of what follows.
@@ -60,6 +64,8 @@ class CriticConfig:
     updates_per_step: float = 0.5
     every: int | None = None
     newborn_updates: int = 1_000
+    teacher_mutation: float | None = None
+    novelty: float | None = None
     size: int = 256
     policy_size: int = 64
     horizon: int = 3
@@ -79,6 +85,7 @@ class CriticConfig:
     def __post_init__(self) -> None:
         check_fields(self, learning_rate="[0, inf)", critic_learning_rate="(0, inf)")
         check_fields(self, updates_per_step="(0, inf)", newborn_updates="[0, inf]")
+        check_fields(self, teacher_mutation="[0, 1]", novelty="[0, 1]")
         for name in ("every", "size", "policy_size", "horizon", "capacity", "warmup", "width"):
             check_fields(self, **{name: "[1, inf]"})
         check_fields(self, discount="[0, 1]", critic_tau="(0, 1]", smoothing="[0, inf)")
@@ -103,12 +110,19 @@ class SharedCritic:
         inputs: Numbers of an observation.
         slots: Networks of the arena.
         seed: Of all its chance.
+        beside: A critic whose memory it shares; it learns from the second column of rewards there.
     """
 
     def __init__(
-        self, config: CriticConfig, heads: Heads, inputs: int, slots: int, seed: int
+        self,
+        config: CriticConfig,
+        heads: Heads,
+        inputs: int,
+        slots: int,
+        seed: int,
+        beside: SharedCritic | None = None,
     ) -> None:
-        self.config, self.heads = config, heads
+        self.config, self.heads, self._beside = config, heads, beside is not None
         self.generator = torch.Generator().manual_seed(seed)
         boxed = isinstance(heads, CandidateHeads)
         sizes = (inputs + heads.actions, 1) if boxed else (inputs, heads.candidates)
@@ -117,7 +131,9 @@ class SharedCritic:
         self.target = copy.deepcopy(self.critic).requires_grad_(False)
         weight = self.critic.weight.detach()
         self.first_moment, self.second_moment = torch.zeros_like(weight), torch.zeros_like(weight)
-        self.memory = TransitionMemory(config.capacity, device)
+        owners = config.teacher_mutation is not None
+        own = TransitionMemory(config.capacity, device, owners=owners)
+        self.memory = own if beside is None else beside.memory
         self.returns = torch.zeros(slots, dtype=torch.float64)
         self.spread = RunningNormalization(1, 1, least=1e-6)
         self.steps, self.due = 0, 0.0
@@ -129,16 +145,24 @@ class SharedCritic:
             ahead: Its transitions, summed up over the horizon [slots, ticks].
             batch: The same tick by tick [slots, ticks].
         """
-        lived = batch.get("genome_id").squeeze(-1) >= 0
-        following = batch.get("next")
-        reward, done = (following.get(name).squeeze(-1) for name in ("reward", "done"))
+        self.memory.extend(ahead.reshape(-1))
+        self.watch(batch, batch.get(("next", "reward")))
+
+    def watch(self, batch: TensorDictBase, rewards: Tensor) -> None:
+        """Note how far apart returns are, and what is due, for a batch whose ticks are remembered.
+
+        Args:
+            batch: [slots, ticks].
+            rewards: Of these ticks [slots, ticks, 1].
+        """
+        lived, reward = batch.get("genome_id").squeeze(-1) >= 0, rewards.squeeze(-1)
+        done = batch.get(("next", "done")).squeeze(-1)
         returns = torch.zeros_like(reward, dtype=torch.float64)
         for tick in range(reward.shape[-1]):
             self.returns = self.config.discount * self.returns + reward[:, tick]
             returns[:, tick] = self.returns
             self.returns = self.returns.masked_fill(done[:, tick], 0)
         self.spread.add(returns[None, ..., None], lived[None])
-        self.memory.extend(ahead.reshape(-1))
         if len(self.memory) >= self.config.warmup:
             self.due += self.config.updates_per_step * int(lived.sum())
 
@@ -173,7 +197,7 @@ class SharedCritic:
         now, following = rows["observation"], rows["next_observation"]
         ahead = self.config.discount ** rows["steps_to_next_obs"].squeeze(-1).float()
         ahead = torch.where(rows["next_terminated"].squeeze(-1), 0, ahead)
-        reward = rows["next_reward"].squeeze(-1) / self.spread.deviation.item()
+        reward = rows["next_reward"][..., int(self._beside)] / self.spread.deviation.item()
         taken = rows["action"][..., 0].long()
         if isinstance(self.heads, CandidateHeads):
             now = torch.cat([now, self.unit(rows["action"])], -1)
@@ -239,7 +263,7 @@ class SharedCritic:
         """Everything that a checkpoint must keep."""
         own = {name: one.detach() for name, one in self._weights().items()}
         return own | {
-            "memory": self.memory.state_dict(),
+            "memory": {} if self._beside else self.memory.state_dict(),
             "returns": self.returns,
             "spread": self.spread.state_dict(),
             "generator": self.generator.get_state(),
@@ -253,7 +277,8 @@ class SharedCritic:
         for name, own in self._weights().items():
             own.copy_(torch.as_tensor(state[name]))
         self.steps, self.due = state["steps"], state["due"]
-        self.memory.load_state_dict(state["memory"])
+        if not self._beside:
+            self.memory.load_state_dict(state["memory"])
         self.returns = torch.as_tensor(state["returns"]).clone()
         self.spread.load_state_dict(state["spread"])
         self.generator.set_state(torch.as_tensor(state["generator"]))

@@ -262,3 +262,21 @@ def test_a_population_too_small_or_with_a_number_twice_is_refused() -> None:
 def test_a_config_out_of_range_is_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         RtNEATConfig(**change)
+
+
+def test_of_survivors_all_breed_as_often_and_others_never() -> None:
+    evolution = population(slots=10, survival_share=0.3)
+    live(evolution, 10, [float(one) for one in range(10)])
+    drawn = [evolution._parents(evolution.score, evolution.eligible)[0] for _ in range(3000)]
+    firsts = np.bincount([one[0] for one in drawn], minlength=10) / len(drawn)
+    assert firsts == pytest.approx([0.0] * 7 + [1 / 3] * 3, abs=0.03)
+    assert {slot for one in drawn for slot in one} == {7, 8, 9}
+    single = np.mean([len(one) == 1 for one in drawn])
+    assert single == pytest.approx(OPENNERO.mutate_only_prob, abs=0.03)
+
+
+def test_a_survivor_alone_in_its_species_breeds_alone_and_one_always_survives() -> None:
+    evolution = population(slots=4, survival_share=0.01)
+    live(evolution, 10, [1.0, 5.0, 3.0, 2.0])
+    drawn = {evolution._parents(evolution.score, evolution.eligible)[0] for _ in range(50)}
+    assert drawn == {(1,)}

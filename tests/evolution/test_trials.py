@@ -47,12 +47,6 @@ def test_trials_of_episodes_are_averaged_by_hand() -> None:
     assert trials.averages[0].tolist() == [2.5 / 2 + 2.0, 1.5]
 
 
-def test_ticks_of_an_episode_that_do_not_count_are_taken_to_be_like_the_others() -> None:
-    trials = Trials(1, 1, 1000, trial_episodes=1)
-    trials.record([[[1], [100], [2]]], [[0, 0, 1]], [[1, 0, 1]])
-    assert trials.latest.tolist() == [[4.5]]
-
-
 def test_trials_of_episodes_need_to_know_where_these_end() -> None:
     trials = Trials(2, 1, 10, trial_episodes=1)
     with pytest.raises(
@@ -106,38 +100,17 @@ def test_the_cut_into_batches_does_not_matter_to_the_last_bit(
 ) -> None:
     rng = np.random.default_rng(seed)
     shape = (3, sum(batches))
-    rewards, done, counts = rng.normal(size=(*shape, dimensions)), *(rng.random((2, *shape)) < 0.4)
+    rewards, done = rng.normal(size=(*shape, dimensions)), rng.random(shape) < 0.4
     whole, parts, ticks = (Trials(3, dimensions, trial_ticks, episodes) for _ in range(3))
-    closed = whole.record(rewards, done, counts)
+    closed = whole.record(rewards, done)
     for trials, cuts in ((parts, np.cumsum(batches)), (ticks, range(1, shape[1]))):
-        pieces = [np.split(one, cuts, axis=1) for one in (rewards, done, counts)]
+        pieces = [np.split(one, cuts, axis=1) for one in (rewards, done)]
         closing = [trials.record(*piece) for piece in zip(*pieces, strict=True)]
         assert np.array_equal(np.concatenate(closing, axis=1), closed)
     assert whole.total == parts.total == ticks.total
     for name in Trials.ARRAYS:
         expected = getattr(whole, name).tobytes()
         assert expected == getattr(parts, name).tobytes() == getattr(ticks, name).tobytes()
-
-
-def test_ticks_that_do_not_count_are_taken_to_be_like_the_others() -> None:
-    trials = Trials(2, 1, 4)
-    counts = np.array([[True, False, True, False], [False] * 4])
-    rewards = np.array([[1.0, 100.0, 2.0, -9.0], [5.0] * 4])[..., None]
-    trials.record(rewards[:, :3], counts=counts[:, :3])
-    assert trials.counted.tolist() == [2, 0]
-    trials.record(rewards[:, 3:], counts=counts[:, 3:])
-    # 3 in two ticks that count make 6 in four.
-    assert trials.averages[:, 0].tolist() == [6.0, 0.0]
-    trials.record(rewards)
-    assert trials.averages[:, 0].tolist() == [6.0 + 94.0 / 2, 0.0 + 20.0 / 2]
-    trials.record(rewards[:, :3], counts=counts[:, :3])
-    trials.reset(0)
-    assert trials.counted.tolist() == [0, 0]
-
-
-def test_ticks_that_count_are_refused_in_another_shape() -> None:
-    with pytest.raises(ValueError, match=r"counts: .*\[slots = 1, ticks = 5\], got \[1, 4\]"):
-        Trials(1, 1, 10).record(np.ones((1, 5, 1)), counts=np.ones((1, 4)))
 
 
 def test_sums_are_kept_in_double_precision() -> None:

@@ -36,7 +36,6 @@ REPLAY = ReplayConfig(
     keep_every=1,
     horizon=4,
 )
-OWN = torch.tensor([[0.0, 0.5, 0.9], [0.99, 0.7, 0.8]])
 NEWBORN = torch.tensor([[False, True, False], [True, False, True]])
 
 
@@ -53,14 +52,13 @@ def evolved_network(heads: CandidateHeads, seed: int = 3) -> PopulationNetwork:
     return PopulationNetwork(genomes, shape=(2, 3))
 
 
-def evolved_learner(config: ReplayConfig, discount: torch.Tensor | None = None) -> ReplayLearner:
+def evolved_learner(config: ReplayConfig) -> ReplayLearner:
     """An action that has no room, and two that have."""
     heads = CandidateHeads(3, [0.0, -2.0, 1.0], [1.0, 2.0, 1.0], value_range=(-1.0, 2.0))
     network = evolved_network(heads)
     assert network.state_size
     learner = learner_kinds.maker_of(config)(config, LearnerParts(network, heads, (2, 3), range(2)))
     assert isinstance(learner, ReplayLearner)
-    learner.learner.loss.discount = discount
     return learner
 
 
@@ -83,20 +81,19 @@ def any_batch(seed: int) -> TensorDict:
 
 
 @pytest.mark.parametrize(
-    ("optimizer", "tau", "own_discount", "normalize"),
+    ("optimizer", "tau", "normalize"),
     [
-        ("sgd", None, False, True),
-        ("sgd", 0.3, True, True),
-        ("sgd", None, True, False),
-        ("adam", 0.3, False, True),
-        ("adam", 0.01, False, False),
-        ("adam", None, True, True),
+        ("sgd", None, True),
+        ("sgd", 0.3, True),
+        ("sgd", None, False),
+        ("adam", 0.3, True),
+        ("adam", 0.01, False),
+        ("adam", None, True),
     ],
 )
 def test_compiled_code_learns_what_torch_learns(
     optimizer: Literal["sgd", "adam"],
     tau: float | None,
-    own_discount: bool,
     normalize: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -108,7 +105,7 @@ def test_compiled_code_learns_what_torch_learns(
         target_tau=tau,
         normalize_return=normalize,
     )
-    fast, slow = (evolved_learner(config, OWN if own_discount else None) for _ in range(2))
+    fast, slow = (evolved_learner(config) for _ in range(2))
     errors = []
     for learner in (fast, slow):
         assert compiled_wires.can_teach(learner.learner)
@@ -159,7 +156,7 @@ def test_one_gradient_and_its_errors_are_those_of_the_loss(
     loss(every)["loss"].backward()
     assert network.weight.grad is not None
     before = network.weight.detach().clone()
-    error = compiled_wires.learn(compiled_wires.pupils_of(learner), learner, rows, 1, None)
+    error = compiled_wires.learn(compiled_wires.pupils_of(learner), learner, rows, 1)
     found, wanted = before - network.weight.detach(), network.weight.grad
     torch.testing.assert_close(found, wanted, rtol=5e-3, atol=1e-3 * float(wanted.abs().max()))
     squares = every["td_error"].squeeze(-1).square().mean(-1).flatten().detach()
@@ -180,24 +177,3 @@ def random_transitions(rng: torch.Generator, low: torch.Tensor) -> TensorDict:
         "next": following,
     }
     return TensorDict(now, [20])
-
-
-def test_a_network_with_a_discount_of_its_own_learns_as_if_it_were_that_of_all() -> None:
-    config = replace(REPLAY, optimizer="adam")
-
-    def learnt(discount: torch.Tensor) -> torch.Tensor:
-        learner = evolved_learner(config, discount)
-        learner.update(any_batch(0))
-        learner.reset(NEWBORN)
-        learner.update(any_batch(1))
-        return learner.learner.network.weight.detach()
-
-    together = learnt(OWN)
-    for slot, gamma in enumerate(OWN.flatten().tolist()):
-        alone = learnt(torch.full_like(OWN, gamma))
-        assert torch.equal(together[slot], alone[slot])
-    summed = evolved_learner(config)  # of all networks, 0.9, from sums that are remembered
-    summed.update(any_batch(0))
-    by_tick = evolved_learner(config, torch.full_like(OWN, 0.9))
-    by_tick.update(any_batch(0))
-    torch.testing.assert_close(summed.learner.network.weight, by_tick.learner.network.weight)

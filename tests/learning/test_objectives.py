@@ -165,20 +165,6 @@ def test_the_normalised_target_of_the_greatest_reward_is_within_reach_of_a_sigmo
     assert batch["next", "reward"].item() == 1.0
 
 
-@pytest.mark.parametrize("kind", [ValueEstimators.TD0, ValueEstimators.TDLambda])
-def test_each_robot_may_have_its_own_discount(kind: ValueEstimators) -> None:
-    network, heads = population()
-    value, batch = CandidateValue(network, heads), transitions()
-    discount = torch.tensor([[0.3, 0.5, 0.9]])
-    own = CandidateTDLoss(value, discount=discount, reduction="none", normalize_return=True)
-    own.make_value_estimator(kind)
-    found = own(batch)["loss"]
-    for robot, gamma in enumerate(discount[0].tolist()):
-        same = CandidateTDLoss(value, reduction="none", normalize_return=True)
-        same.make_value_estimator(kind, gamma=gamma)
-        torch.testing.assert_close(found[:, robot], same(batch)["loss"][:, robot])
-
-
 def test_termination_cuts_the_bootstrap_and_truncation_does_not() -> None:
     loss = CandidateTDLoss(FixedValues(), reduction="none")
     loss.make_value_estimator(gamma=0.5)

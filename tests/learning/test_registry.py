@@ -263,8 +263,6 @@ def test_what_cannot_be_made_says_why() -> None:
         (TDConfig, {"epsilon": 2.0}),
         (TDConfig, {"max_hold_ticks": 0}),
         (TDConfig, {"inheritance": "mosaic"}),
-        (TDConfig, {"genes": 0.0}),
-        (TDConfig, {"genes": 0.1, "epsilon": 0.0}),
         (ReplayConfig, {"updates": 0}),
         (ReplayConfig, {"newborn_updates": -1}),
         (ReplayConfig, {"size": 0}),

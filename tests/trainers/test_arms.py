@@ -30,7 +30,7 @@ DIGESTS = {
     ("wall", "neat"): "1c4b42ddee67",
     ("wall", "committed"): "3e1d2b4f8971",
     ("wall", "described"): "05f3194df93a",
-    ("wall", "neatq"): "9862dd808280",
+    ("wall", "neatq"): "b934006c9fc9",
     ("wall", "replay"): "2bdacba4bfdb",
     ("wall", "neat+q"): "3721695ccbba",
     ("wall", "qnetwork"): "eddee2552f9f",
@@ -46,12 +46,12 @@ DIGESTS = {
 }
 DEFAULTS = {
     ("learner", "none"): "44136fa355b3",
-    ("learner", "td"): "254488fc029a",
-    ("learner", "replay"): "4b6a4e4f7a25",
-    ("learner", "critic"): "7b63066c3b46",
+    ("learner", "td"): "ffd4807a3e9b",
+    ("learner", "replay"): "3d8c9a9b500b",
+    ("learner", "critic"): "59f8bee7d22b",
     ("learner", "traces"): "27a1f8b7d1a8",
     ("learner", "table"): "473a57fb72fd",
-    ("population", "rtneat"): "0279585dedc5",
+    ("population", "rtneat"): "0198e5eae70a",
     ("population", "neat"): "ae8a85d7e691",
     ("population", "fixed"): "6ebd5daf6c3f",
 }

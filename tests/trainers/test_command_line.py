@@ -169,8 +169,8 @@ def test_bad_input_is_answered_in_one_line(neatq: Say, arguments: list[str], pat
             "learner.epsilon: .* the learner of the arm rtneat on wall is none; known to td",
         ),
         (
-            ["--arm", "rtneat", "--population.survival-share", "0.1"],
-            "population.survival_share: .* is rtneat; known to neat",
+            ["--arm", "rtneat", "--population.elite-members", "0.1"],
+            "population.elite_members: .* is rtneat; known to neat",
         ),
         (["--arm", "rtneat", "--network.value-range", "0", "1"], "network.value_range: .* no outp"),
         (["--arm", "qlearning", "--network.candidates", "3"], "network.candidates: .* no networks"),

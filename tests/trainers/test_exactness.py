@@ -53,7 +53,7 @@ WALL: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "target weights": ("replay", {"learner.target_tau": 0.1}),
     "parsimony": ("replay", {"population.parsimony": 0.05}),
-    "genes": ("replay", {"learner.genes": 0.5}),
+    "teachers": ("neatq", {"learner.teacher_mutation": 0.7, "learner.warmup": 50}),
     "generations of replay": ("neat", {"learner.kind": "replay", "network.candidates": 3}),
 }
 """Arms and variants of them in the arena."""

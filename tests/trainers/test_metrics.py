@@ -13,7 +13,6 @@ import torch
 from tensordict import TensorDict
 
 from neatq_torch.genome import Genome, layered_genome
-from neatq_torch.learning import LearningGenes
 from neatq_trainers.build import build
 from neatq_trainers.callbacks import Callback
 from neatq_trainers.config import RunConfig
@@ -48,7 +47,6 @@ def run_of(tick: int, *populations: SimpleNamespace, epsilon: float = 0.25) -> R
     parts = {
         "config": SimpleNamespace(learner=SimpleNamespace(epsilon=epsilon), generational=False),
         "populations": list(populations),
-        "genes": None,
     }
     return cast(Run, SimpleNamespace(tick=tick, **parts))
 
@@ -86,15 +84,6 @@ def test_a_row_by_hand() -> None:
         epsilon=0.25,
     )
     assert csv_line(row) == "0,100,10,30,60,40,10,20,6,2,6,1,1,0.25\n"
-
-
-def test_where_epsilon_is_a_gene_a_row_has_its_mean() -> None:
-    run = run_of(100)
-    run.genes = cast(
-        LearningGenes, SimpleNamespace(values=np.array([[[9.0, 0.1, 9.0], [9.0, 0.5, 9.0]]]))
-    )
-    (row,) = rows(run, batch_of([[[1], [2], [3]]]), torch.zeros(1, 3))
-    assert row.epsilon == pytest.approx(0.3)
 
 
 def test_without_anybody_eligible_and_without_learning_cells_are_empty() -> None:

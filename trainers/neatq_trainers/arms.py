@@ -91,7 +91,7 @@ _GENTLE = MutationConfig(
 )
 """Mutations that leave a network most of what it has learnt; critics do not teach memory."""
 _TAUGHT = Arm(
-    summary="rtNEAT, and a critic that learns from everybody's steps teaches every newborn",
+    summary="rtNEAT, and a critic that learns from everybody's steps teaches newborns",
     population=RtNEATConfig(
         reproduction=replace(OPENNERO, mutation=_GENTLE),
         minimum_life_episodes=1,
@@ -139,10 +139,17 @@ ARMS: dict[str, Arm] = {
     ),
     "neatq": Arm(
         summary=_TAUGHT.summary,
-        population=RtNEATConfig(),
-        learner=CriticConfig(updates_per_step=0.02, horizon=20, discount=0.97, noise=0.05),
+        population=RtNEATConfig(survival_share=0.2),
+        learner=CriticConfig(
+            updates_per_step=0.02,
+            horizon=20,
+            discount=0.97,
+            noise=0.05,
+            teacher_mutation=0.05,
+            novelty=0.5,
+        ),
         network=NetworkConfig(candidates=1),
-        senses=_PROGRESS,
+        senses={"sensors": "arena-feedback", "reward": "progress"},
         episodic={
             "learner.updates_per_step": 0.5,
             "learner.horizon": 3,
@@ -262,7 +269,7 @@ def preset(
         world=world,
         network=chosen.network,
         population=_population(chosen, world),
-        learner=chosen.learner,
+        learner=_learner(chosen, world),
         batch_ticks=chosen.batch_ticks,
         **_length(task, world, length or {}),
     )
@@ -280,6 +287,8 @@ def _with_kinds(config: RunConfig, population: str | None, learner: str | None) 
     parts: dict[str, Any] = {}
     if population is not None:
         parts["population"] = population_kinds.config(population)()
+        if not isinstance(parts["population"], RtNEATConfig):
+            parts["learner"] = _having(config.learner, teacher_mutation=None, novelty=None)
         if isinstance(config.world, ArenaConfig):
             life = config.world.scenario.lifetime_ticks or LIFE_TICKS
             parts["population"] = _having(parts["population"], minimum_life_ticks=life)
@@ -323,6 +332,13 @@ def _population(arm: Arm, world: WorldConfig) -> Any:
         return arm.population
     life = world.scenario.lifetime_ticks or LIFE_TICKS
     return _having(arm.population, minimum_life_ticks=life, episodes=1)
+
+
+def _learner(arm: Arm, world: WorldConfig) -> Any:
+    """That of the arm; elsewhere than in the arena its critic teaches all."""
+    if isinstance(world, ArenaConfig):
+        return arm.learner
+    return _having(arm.learner, teacher_mutation=None, novelty=None)
 
 
 def _length(task: str, world: WorldConfig, given: Mapping[str, int | None]) -> dict[str, Any]:

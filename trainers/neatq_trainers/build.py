@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from neatq_envs.random_play import LARGEST, EnvFacts
@@ -14,14 +12,15 @@ from neatq_torch.learning import (
     CandidateHeads,
     CandidatePolicy,
     CriticConfig,
+    CriticLearner,
     EpsilonGreedy,
     Heads,
     Learner,
     LearnerParts,
-    LearningGenes,
     ReplayConfig,
     RunningNormalization,
     TDConfig,
+    Teachers,
     TraceConfig,
     learner_kinds,
 )
@@ -32,8 +31,8 @@ from neatq_trainers.run import Run, State
 from neatq_trainers.saved import check_form, restoring
 from neatq_trainers.worlds import ArenaConfig, EnvConfig, GymnasiumConfig, World, make_world
 
-GENES_STREAM = 3
-"""Of the random numbers of learning genes: [seed, stream]."""
+TEACHERS_STREAM = 3
+"""Of the random numbers of teachers: [seed, stream]."""
 
 
 def build(
@@ -93,7 +92,7 @@ def _in_world(config: RunConfig, world: World, state: State | None, episodes: in
         learner=learner,
         network=network,
         populations=populations,
-        genes=_genes(config, learner, policy, populations),
+        teachers=_teachers(config, learner, populations),
         normalization=normalization,
         metrics=DistanceMetrics(shape[0]) if arena else ReturnMetrics(populations, shape),
     )
@@ -119,8 +118,8 @@ def _restore(run: Run, state: State) -> None:
     run.metrics.load_state_dict(state["metrics"])
     if "world" in state:
         run.world.env.load_world_state(state["world"])
-    if run.genes is not None:
-        run.genes.load_state_dict(state["genes"])
+    if run.teachers is not None:
+        run.teachers.load_state_dict(state["teachers"])
     if run.normalization is not None:
         run.normalization.load_state_dict(state["normalization"])
 
@@ -228,13 +227,10 @@ def _policy(
     )
 
 
-def _genes(
-    config: RunConfig, learner: Learner, policy: Any, populations: list[Population]
-) -> LearningGenes | None:
-    power = getattr(config.learner, "genes", None)
-    if power is None:
+def _teachers(
+    config: RunConfig, learner: Learner, populations: list[Population]
+) -> Teachers | None:
+    if getattr(config.learner, "teacher_mutation", None) is None:
         return None
-    seeds = [(seed, GENES_STREAM) for seed in config.seeds]
-    # Of shared replay, the one that takes the steps.
-    own: Any = getattr(learner, "learner", learner)
-    return LearningGenes(power, own, policy.exploration, populations, seeds)
+    assert isinstance(learner, CriticLearner)
+    return Teachers(learner, populations, [(seed, TEACHERS_STREAM) for seed in config.seeds])

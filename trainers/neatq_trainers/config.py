@@ -156,9 +156,22 @@ class RunConfig:
                 "Gymnasium tasks, such as gym:CartPole-v1"
             )
 
+    def _check_teachers(self) -> None:
+        robots, one_by_one = (
+            isinstance(self.world, ArenaConfig),
+            isinstance(self.population, RtNEATConfig),
+        )
+        if not (robots and one_by_one):
+            raise ConfigError(
+                "learner.teacher_mutation: expected None, as explorers need places and models need "
+                "others that live on: only robots in the arena of the population rtneat have both"
+            )
+
     def _check_parts(self) -> None:
         if self.network.normalization is not None:
             self._check_normalization()
+        if getattr(self.learner, "teacher_mutation", None) is not None:
+            self._check_teachers()
         if self.population is None:
             if isinstance(self.learner, _OF_NETWORKS):
                 raise ConfigError(
@@ -312,8 +325,9 @@ class RunConfig:
         """
         try:
             parts = {"until": None, **values}  # which 0.2.0 did not know
-            if (parts["population"] or {}).get("novelty"):
-                raise ConfigError("population.novelty: is no more; take version 0.2.0 for this run")
+            for part, gone in (("population", "novelty"), ("learner", "genes")):
+                if (parts[part] or {}).get(gone):
+                    raise ConfigError(f"{part}.{gone}: is no more; take version 0.2.0 for this run")
             for name, kinds in _KINDS.items():
                 if parts[name] is not None:
                     own = dict(parts[name])

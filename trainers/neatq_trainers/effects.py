@@ -48,6 +48,9 @@ def without_effect(config: RunConfig) -> dict[str, str]:
         useless["learner.wires"] = f"{many}, and wires need a box of actions"
     if isinstance(config.learner, CriticConfig):
         useless |= _of_critic(config.learner, None if choices is None else many)
+        if not isinstance(world, ArenaConfig):
+            words = "explorers and models are for robots in the arena"
+            useless |= dict.fromkeys(("learner.teacher_mutation", "learner.novelty"), words)
     return useless
 
 
@@ -146,6 +149,8 @@ def _of_learner(config: RunConfig) -> dict[str, str]:
     if getattr(own, "discount", None) == 0:
         words = "only the next reward counts, as learner.discount is 0"
         useless |= dict.fromkeys(("trace_decay", "horizon", "normalize_return"), words)
+    if isinstance(own, CriticConfig) and own.teacher_mutation is None:
+        useless["novelty"] = "nobody explores for the new, as learner.teacher_mutation is None"
     if config.ticks_per_batch == 1:
         words = "a batch has one tick, as batch_ticks says"
         if isinstance(own, ReplayConfig):

@@ -154,12 +154,8 @@ def judge(run: Run, batch: TensorDictBase) -> None:
     rewards = (following.get("reward") if vector is None else vector).numpy()
     done = following.get("done").squeeze(-1).numpy()
     for arena, population in enumerate(run.populations):
-        counts = None
-        if run.genes is not None:  # what a robot explored is not its fault
-            best = batch.get("action_value")[arena].argmax(-1)
-            counts = (batch.get("candidate_index")[arena] == best).numpy()
         where = None if pose is None else pose[arena, ..., :2].numpy()  # how it behaved
-        population.record(rewards[arena], done[arena], behaviour=where, counts=counts)
+        population.record(rewards[arena], done[arena], behaviour=where)
 
 
 def breed(run: Run) -> Tensor:
@@ -177,12 +173,12 @@ def breed(run: Run) -> Tensor:
         for replacement in replacements:
             newborn[arena, replacement.slot] = True
             network.replace(arena * run.shape[1] + replacement.slot, replacement.genome)
-        if run.genes is not None:
-            run.genes.inherit(arena, replacements)
+        if run.teachers is not None:
+            run.teachers.inherit(arena, replacements)
     if newborn.any():
         run.begin_generation()
-        if run.genes is not None:
-            run.genes.express()
+        if run.teachers is not None:
+            run.teachers.express()
         run.learner.reset(newborn)
         run.policy.reset(newborn)
     return newborn

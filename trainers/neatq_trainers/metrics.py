@@ -127,7 +127,7 @@ class DistanceMetrics:
                     max_distance=float(now.max()),
                     **_judged(population, now),
                     td_loss=None if np.isnan(loss[arena]) else float(loss[arena]),
-                    epsilon=_epsilon(run, arena),
+                    epsilon=getattr(run.config.learner, "epsilon", 0.0),
                 )
 
     def _remember(self, run: Run) -> None:
@@ -149,13 +149,6 @@ class DistanceMetrics:
     def load_state_dict(self, state: State) -> None:
         """Go on from `state_dict`."""
         self.champions = _loaded(state["champions"])
-
-
-def _epsilon(run: Run, arena: int) -> float:
-    """That of all robots; where it is a gene, their mean."""
-    if run.genes is None:
-        return getattr(run.config.learner, "epsilon", 0.0)
-    return float(run.genes.values[arena, :, 1].mean())
 
 
 def _judged(population: Population | None, now: np.ndarray) -> dict[str, Any]:

@@ -17,8 +17,8 @@ from neatq_torch.learning import (
     CandidatePolicy,
     Heads,
     Learner,
-    LearningGenes,
     RunningNormalization,
+    Teachers,
 )
 from neatq_torch.network import PopulationNetwork
 from neatq_trainers.config import RunConfig
@@ -106,7 +106,7 @@ class Run:
         learner: Learns for all slots.
         network: All networks; None if robots learn in tables.
         populations: The genomes of each arena; empty without evolution.
-        genes: How each robot learns and explores; None if all do alike.
+        teachers: By whom newborns are taught; None where all have the same.
         normalization: Of what networks read; None where it is read as it comes.
         metrics: Watches it.
         tick: Ticks so far.
@@ -120,7 +120,7 @@ class Run:
     learner: Learner
     network: PopulationNetwork | None
     populations: list[Population]
-    genes: LearningGenes | None = None
+    teachers: Teachers | None = None
     normalization: RunningNormalization | None = None
     metrics: Metrics
     tick: int = 0
@@ -176,4 +176,4 @@ class Run:
             state["world"] = self.world.env.world_state()
         if self.normalization is not None:
             state["normalization"] = self.normalization.state_dict()
-        return state if self.genes is None else state | {"genes": self.genes.state_dict()}
+        return state if self.teachers is None else state | {"teachers": self.teachers.state_dict()}
