@@ -190,6 +190,33 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
             changes={"learner.inheritance": "darwinian"},
         ),
     },
+    "teachers": {
+        "neatq-critic-alone": Variant(
+            base="neatq",
+            summary="in the arena: neatq whose critic teaches all",
+            changes={"learner.teacher_mutation": None, "learner.novelty": None},
+        ),
+        "neatq-without-explorers": Variant(
+            base="neatq",
+            summary="in the arena: neatq that critic and fittest teach, no explorer",
+            changes={"learner.novelty": None},
+        ),
+        "neatq-all-breed": Variant(
+            base="neatq",
+            summary="in the arena: neatq in which all who can be judged breed, by fitness",
+            changes={"population.survival_share": None},
+        ),
+        "neatq-without-feedback": Variant(
+            base="neatq",
+            summary="in the arena: neatq that senses no last speed, turn and reward",
+            changes={"world.scenario.sensors": "arena"},
+        ),
+        "neatq-published-reward": Variant(
+            base="neatq",
+            summary="in the arena: neatq that learns from the published reward",
+            changes={"world.scenario.reward": "published"},
+        ),
+    },
     "critic": {
         "neatq-living": Variant(
             base="neatq",
