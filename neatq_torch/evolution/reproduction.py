@@ -155,21 +155,21 @@ def choose_parents(
     return (first, int(pool[roulette(shares, rng)])), False
 
 
-def choose_survivors(
+def choose_breeders(
     species: Sequence[Species],
     fitness: NDArray[np.float64],
-    survivors: NDArray[np.intp],
+    breeders: NDArray[np.intp],
     config: ReproductionConfig,
     rng: np.random.Generator,
 ) -> tuple[tuple[int, ...], bool]:
-    """As `choose_parents`, among survivors [number] alone, each of them as likely.
+    """As `choose_parents`, among some slots alone, each of them as likely.
 
-    Mates are survivors of the same species.
+    Mates are those of them that are of the same species.
     """
-    first = int(rng.choice(survivors))
+    first = int(rng.choice(breeders))
     home = next(one for one in species if first in one.members)
     home.rank(fitness)
     if rng.random() < config.mutate_only_prob:
         return (first,), False
-    pool = survivors[np.isin(survivors, home.members)]
+    pool = breeders[np.isin(breeders, home.members)]
     return (first,) if pool.size == 1 else (first, int(rng.choice(pool))), False

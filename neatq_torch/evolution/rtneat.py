@@ -18,8 +18,8 @@ from neatq_torch.evolution.population import Data, LayeredFounders, Population, 
 from neatq_torch.evolution.reproduction import (
     OPENNERO,
     ReproductionConfig,
+    choose_breeders,
     choose_parents,
-    choose_survivors,
 )
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
 from neatq_torch.evolution.trials import Trials, relative_fitness, weighted
@@ -39,8 +39,8 @@ class RtNEATConfig:
             the length of a trial. None for ticks.
         ineligible_fraction: share of the population that is too young to be judged, in (0, 1].
         survival_share: share of those who can be judged, the fittest, who may breed, all of them as
-            often, in (0, 1]; a mate is of the same species. None: all may, by fitness, as in
-            OpenNERO.
+            often, in (0, 1]; a mate is of the same species. (That of `NEATConfig` is a share of
+            each species.) None: all may, by fitness, as in OpenNERO.
         founders: what the first genomes look like; None: no hidden nodes.
         parsimony: the champion is the smallest network whose average return is within this share of
             the best one, in [0, 1), and who lives and breeds is decided by return and size; see
@@ -204,7 +204,7 @@ class RtNEAT(Population):
         slot = int(oldest_first[adjusted[oldest_first].argmin()])
         removed = self.genomes[slot].genome_id
         self.speciation.remove(slot)
-        slots, interspecies = self._parents(score, eligible)
+        slots, interspecies = self._parents(score, eligible, slot)
         genome, parents = self.breed(slots, score, interspecies=interspecies)
         self.genomes[slot] = genome
         self.trials.reset(slot)
@@ -215,13 +215,14 @@ class RtNEAT(Population):
         return Replacement(slot, genome, removed, parents)
 
     def _parents(
-        self, score: NDArray[np.float64], eligible: NDArray[np.bool_]
+        self, score: NDArray[np.float64], eligible: NDArray[np.bool_], removed: int
     ) -> tuple[tuple[int, ...], bool]:
-        """See `choose_parents`; with a `survival_share` see `choose_survivors`."""
+        """See `choose_parents`; with a `survival_share` see `choose_breeders`."""
         share, means = self.config.survival_share, (self.config.reproduction, self.rng)
-        if share is None:
+        judged = np.flatnonzero(eligible)
+        best_first = judged[np.argsort(-score[judged], kind="stable")]
+        breeders = best_first[: max(1, floor((share or 0) * judged.size))]
+        breeders = breeders[breeders != removed]
+        if share is None or not breeders.size:
             return choose_parents(self.species, score, eligible, *means)
-        survivors = np.flatnonzero(eligible)
-        best_first = survivors[np.argsort(-score[survivors], kind="stable")]
-        survivors = best_first[: max(1, floor(share * survivors.size))]
-        return choose_survivors(self.species, score, survivors, *means)
+        return choose_breeders(self.species, score, breeders, *means)

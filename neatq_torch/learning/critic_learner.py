@@ -27,7 +27,7 @@ class Teacher(IntEnum):
 
     Attributes:
         CRITIC: What the rewards are worth.
-        EXPLORER: What the rewards and places where nobody was lately are worth together.
+        EXPLORER: What the rewards and places where few were lately are worth together.
         MODEL: What the fittest of the arena did, whatever it was worth (social learning).
     """
 
@@ -104,10 +104,11 @@ class CriticLearner(Learner):
             Mean squared TD error of the critic in its last step [arenas, slots]; 0 without one.
         """
         ahead = over_horizon(batch, self.config.horizon, self.config.discount)
-        if self.explorers:
-            self._explore(batch, ahead)
+        rewards = self._explore(batch, ahead) if self.explorers else None
         for arena, critic in enumerate(self.critics):
             critic.remember(ahead[arena], batch[arena])
+            if rewards is not None:
+                self.explorers[arena].watch(batch[arena], rewards[arena])
         errors: dict[int, Tensor] = {}
         with self._on_device(self.network):
             while soon := {arena: n for arena, one in enumerate(self.critics) if (n := one.soon)}:
@@ -117,15 +118,17 @@ class CriticLearner(Learner):
             error[arena] = last
         return error
 
-    def _explore(self, batch: TensorDictBase, ahead: TensorDictBase) -> None:
-        """Put an explorer's rewards beside those of transitions that look ahead."""
+    def _explore(self, batch: TensorDictBase, ahead: TensorDictBase) -> Tensor:
+        """Put explorers' rewards beside those of transitions that look ahead.
+
+        Returns those of the batch [arenas, slots, ticks, 1].
+        """
         rewards = torch.stack([one.of(batch[arena]) for arena, one in enumerate(self.new_places)])
         following = batch.get("next").clone(recurse=False).set("reward", rewards)
         seen = batch.clone(recurse=False).set("next", following)
         own = over_horizon(seen, self.config.horizon, self.config.discount).get(("next", "reward"))
         ahead.set(("next", "reward"), torch.cat([ahead.get(("next", "reward")), own], -1))
-        for arena, explorer in enumerate(self.explorers):
-            explorer.watch(batch[arena], rewards[arena])
+        return rewards
 
     def _learn(self, soon: dict[int, int]) -> dict[int, Tensor]:
         """So many steps of the critics of some arenas, and one of their networks where it is due.
@@ -182,11 +185,9 @@ class CriticLearner(Learner):
             moment = fitted(getattr(self, name), weight)
             setattr(self, name, moment.masked_fill(born.unsqueeze(1), 0))
         for arena, critic in enumerate(self.critics):
-            critic.returns = critic.returns.masked_fill(newborn[arena], 0)
-            if self.explorers:
-                own = self.explorers[arena]
-                own.returns = own.returns.masked_fill(newborn[arena], 0)
-            for teacher in Teacher if critic.steps else ():
+            for one in (critic, *self.explorers[arena : arena + 1]):
+                one.returns = one.returns.masked_fill(newborn[arena], 0)
+            for teacher in Teacher if critic.steps and self.config.newborn_updates else ():
                 taught = newborn[arena].numpy() & (self.teachers[arena] == teacher)
                 if taught.any():
                     self._teach_newborns(arena, np.flatnonzero(taught).tolist(), teacher)
@@ -214,12 +215,17 @@ class CriticLearner(Learner):
         updates: int,
         teacher: Teacher = Teacher.CRITIC,
     ) -> None:
-        """Let the networks of a row learn from a teacher of an arena, by so many minibatches."""
+        """Let the networks of a row learn from a teacher of an arena, by so many minibatches.
+
+        From the critic in place of a model of which nothing is remembered.
+        """
         critic, slots, rate = self.critics[arena], network.shape[1], self.config.learning_rate
         own, size = slice(row * slots, (row + 1) * slots), self.config.policy_size
         if teacher is Teacher.EXPLORER:
             critic = self.explorers[arena]
-        model = int(self.models[arena]) if teacher is Teacher.MODEL else None
+        model = int(self.models[arena])
+        if teacher is not Teacher.MODEL or not critic.memory.knows(model):
+            model = None
         names = ("observation",) if model is None else ("observation", "action")
         drawn = self._drawn(arena, updates * size, *names, owner=model)
         seen, wanted = drawn["observation"].view(updates, size, -1), None

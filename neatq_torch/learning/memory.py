@@ -96,6 +96,10 @@ class TransitionMemory:
         drawn = torch.randint(kept, (size,), generator=generator)
         return self._rows(drawn if ages is None else ages[drawn], names)
 
+    def knows(self, owner: int) -> bool:
+        """Whether it has transitions that a genome made."""
+        return bool(len(self)) and bool(len(self._ages(owner)))
+
     def _ages(self, owner: int) -> Tensor:
         """Of the transitions that a genome made, the oldest first."""
         own = self._columns["genome_id"][: len(self)].flatten() == owner

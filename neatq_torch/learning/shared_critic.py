@@ -85,7 +85,7 @@ class CriticConfig:
     def __post_init__(self) -> None:
         check_fields(self, learning_rate="[0, inf)", critic_learning_rate="(0, inf)")
         check_fields(self, updates_per_step="(0, inf)", newborn_updates="[0, inf]")
-        check_fields(self, teacher_mutation="[0, 1]", novelty="[0, 1]")
+        check_fields(self, teacher_mutation="(0, 1]", novelty="[0, 1]")
         for name in ("every", "size", "policy_size", "horizon", "capacity", "warmup", "width"):
             check_fields(self, **{name: "[1, inf]"})
         check_fields(self, discount="[0, 1]", critic_tau="(0, 1]", smoothing="[0, inf)")

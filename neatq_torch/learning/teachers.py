@@ -18,7 +18,8 @@ class Teachers:
     is (Ackley & Littman 1991): where a reward leads to the goal the critic's pupils have offspring,
     where it deceives the explorer's find the way and the model's follow. Learning from the fittest
     is the student-teacher form of social learning (compare Tansey, Feasley & Miikkulainen 2012,
-    where any agent that succeeds is a teacher).
+    where any agent that succeeds is a teacher). The gene stands beside the genome, not in it: a
+    champion does not carry it.
 
     Args:
         learner: Its `teachers` and `models` are set; who can teach and how often a newborn's
@@ -63,10 +64,8 @@ class Teachers:
         self.models[arena] = -1 if champion is None else ids[champion]
 
     def express(self) -> None:
-        """Let newborns be taught by whom their genes say; by the critic where nobody is a model."""
-        nobody = (self.values == Teacher.MODEL) & (self.models[:, None] < 0)
-        self._learner.teachers = np.where(nobody, Teacher.CRITIC, self.values)
-        self._learner.models = self.models.copy()
+        """Let newborns be taught by whom their genes say."""
+        self._learner.teachers, self._learner.models = self.values.copy(), self.models.copy()
 
     def state_dict(self) -> Saved:
         """Teachers, models and the state of all chance."""
@@ -74,7 +73,7 @@ class Teachers:
         return {"values": self.values.copy(), "models": self.models.copy(), "generators": states}
 
     def load_state_dict(self, state: Saved) -> None:
-        """Go on from `state`."""
+        """Go on from `state`, with the populations as they were then."""
         self.values = np.array(state["values"], np.int64)
         self.models = np.array(state["models"], np.int64)
         self.generators = [generator_from(one) for one in state["generators"]]

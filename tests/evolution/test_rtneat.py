@@ -267,7 +267,7 @@ def test_a_config_out_of_range_is_refused(change: dict[str, Any], message: str) 
 def test_of_survivors_all_breed_as_often_and_others_never() -> None:
     evolution = population(slots=10, survival_share=0.3)
     live(evolution, 10, [float(one) for one in range(10)])
-    drawn = [evolution._parents(evolution.score, evolution.eligible)[0] for _ in range(3000)]
+    drawn = [evolution._parents(evolution.score, evolution.eligible, 0)[0] for _ in range(3000)]
     firsts = np.bincount([one[0] for one in drawn], minlength=10) / len(drawn)
     assert firsts == pytest.approx([0.0] * 7 + [1 / 3] * 3, abs=0.03)
     assert {slot for one in drawn for slot in one} == {7, 8, 9}
@@ -278,5 +278,14 @@ def test_of_survivors_all_breed_as_often_and_others_never() -> None:
 def test_a_survivor_alone_in_its_species_breeds_alone_and_one_always_survives() -> None:
     evolution = population(slots=4, survival_share=0.01)
     live(evolution, 10, [1.0, 5.0, 3.0, 2.0])
-    drawn = {evolution._parents(evolution.score, evolution.eligible)[0] for _ in range(50)}
+    drawn = {evolution._parents(evolution.score, evolution.eligible, 0)[0] for _ in range(50)}
     assert drawn == {(1,)}
+
+
+@pytest.mark.parametrize("rewards", [[0.0] * 6, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+def test_who_makes_room_has_no_more_offspring(rewards: list[float]) -> None:
+    evolution = population(slots=6, survival_share=0.2, ineligible_fraction=1.0)
+    for _ in range(20):
+        live(evolution, 30, rewards)  # so long that more are due than can be judged
+        for _, _, removed, parents in evolution.advance():
+            assert removed not in parents

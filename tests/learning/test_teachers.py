@@ -26,7 +26,7 @@ from neatq_torch.network import PopulationNetwork
 
 HEADS = CandidateHeads(1, [-2.0], [2.0])
 CONFIG = CriticConfig(
-    width=16, size=32, policy_size=16, warmup=10, capacity=600, teacher_mutation=0.0, novelty=0.5
+    width=16, size=32, policy_size=16, warmup=10, capacity=600, teacher_mutation=1e-12, novelty=0.5
 )
 
 
@@ -54,7 +54,7 @@ def teachers_of(mutation: float) -> tuple[Teachers, Pupil, Population]:
 
 
 def test_a_newborn_has_the_teacher_of_its_fitter_parent_even_if_that_was_born_with_it() -> None:
-    own, learner, population = teachers_of(0.0)
+    own, learner, population = teachers_of(1e-12)
     own.values[0] = [Teacher.CRITIC, Teacher.EXPLORER, Teacher.MODEL, Teacher.CRITIC]
     child, grandchild = (population.genomes[0].unchecked(genome_id=one) for one in (5, 6))
     own.inherit(0, [Replacement(0, child, 1, (3, 2)), Replacement(3, grandchild, 4, (5,))])
@@ -65,15 +65,32 @@ def test_a_newborn_has_the_teacher_of_its_fitter_parent_even_if_that_was_born_wi
     assert learner.models.tolist() == [2]
 
 
-def test_where_nobody_can_be_judged_the_critic_teaches_the_pupils_of_a_model() -> None:
-    own, learner, population = teachers_of(0.0)
+def test_where_nobody_can_be_judged_there_is_no_model() -> None:
+    own, learner, population = teachers_of(1e-12)
     population.champion = None
-    own.values[0, 2] = Teacher.MODEL
     own.inherit(0, [])
     own.express()
     assert learner.models.tolist() == [-1]
-    assert learner.teachers.tolist() == [[0, 0, 0, 0]]
-    assert own.values[0].tolist() == [0, 0, 2, 0]  # its children may have one
+
+
+@pytest.mark.parametrize("model", [-1, 99])
+def test_a_model_of_which_nothing_is_remembered_leaves_its_pupils_to_the_critic(model: int) -> None:
+    weights = []
+    for teacher in (Teacher.CRITIC, Teacher.MODEL):
+        learner = CriticLearner(networks(), HEADS, replace(CONFIG, newborn_updates=5), [0])
+        learner.update(lived(learner, 0))
+        learner.teachers[:], learner.models[:] = teacher, model
+        learner.reset(torch.ones(1, 3, dtype=torch.bool))
+        weights.append(learner.network.weight.detach().clone())
+    assert torch.equal(*weights)
+
+
+def test_newborns_may_be_left_as_they_are() -> None:
+    learner = CriticLearner(networks(), HEADS, replace(CONFIG, newborn_updates=0), [0])
+    before = learner.network.weight.detach().clone()
+    learner.update(lived(learner, 0))
+    learner.reset(torch.ones(1, 3, dtype=torch.bool))
+    assert torch.equal(learner.network.weight, before)
 
 
 def test_a_teacher_is_drawn_anew_as_often_as_the_mutation_says_each_as_likely() -> None:

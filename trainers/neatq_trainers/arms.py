@@ -155,6 +155,7 @@ ARMS: dict[str, Arm] = {
             "learner.horizon": 3,
             "learner.discount": 0.99,
             "learner.noise": 0.1,
+            "population.survival_share": None,
             **_EPISODES,
         },
         on_gymnasium=_TAUGHT,

@@ -157,11 +157,8 @@ class RunConfig:
             )
 
     def _check_teachers(self) -> None:
-        robots, one_by_one = (
-            isinstance(self.world, ArenaConfig),
-            isinstance(self.population, RtNEATConfig),
-        )
-        if not (robots and one_by_one):
+        lasting = isinstance(self.population, RtNEATConfig)
+        if not (lasting and isinstance(self.world, ArenaConfig)):
             raise ConfigError(
                 "learner.teacher_mutation: expected None, as explorers need places and models need "
                 "others that live on: only robots in the arena of the population rtneat have both"

@@ -91,6 +91,9 @@ def _of_population(config: RunConfig) -> dict[str, str]:
     own, useless = config.population, {}
     if isinstance(own, RtNEATConfig) and own.minimum_life_episodes is not None:
         useless["population.minimum_life_ticks"] = "population.minimum_life_episodes is set"
+    if isinstance(own, RtNEATConfig) and own.survival_share is not None:
+        words = "population.survival_share is set, and mates are of one species"
+        useless["population.reproduction.interspecies_mate_prob"] = words
     if getattr(own, "start", None) == "minimal":
         useless["population.start_hidden"] = 'founders of population.start "minimal" have none'
     return useless | _of_species(own) | _of_reproduction(getattr(own, "reproduction", None))
