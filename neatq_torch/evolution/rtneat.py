@@ -219,10 +219,11 @@ class RtNEAT(Population):
     ) -> tuple[tuple[int, ...], bool]:
         """See `choose_parents`; with a `survival_share` see `choose_breeders`."""
         share, means = self.config.survival_share, (self.config.reproduction, self.rng)
-        judged = np.flatnonzero(eligible)
-        best_first = judged[np.argsort(-score[judged], kind="stable")]
-        breeders = best_first[: max(1, floor((share or 0) * judged.size))]
-        breeders = breeders[breeders != removed]
-        if share is None or not breeders.size:
-            return choose_parents(self.species, score, eligible, *means)
-        return choose_breeders(self.species, score, breeders, *means)
+        if share is not None:
+            judged = np.flatnonzero(eligible)
+            best_first = judged[np.argsort(-score[judged], kind="stable")]
+            breeders = best_first[: max(1, floor(share * judged.size))]
+            breeders = breeders[breeders != removed]
+            if breeders.size:
+                return choose_breeders(self.species, score, breeders, *means)
+        return choose_parents(self.species, score, eligible, *means)

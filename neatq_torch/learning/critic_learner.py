@@ -103,12 +103,12 @@ class CriticLearner(Learner):
         Returns:
             Mean squared TD error of the critic in its last step [arenas, slots]; 0 without one.
         """
-        ahead = over_horizon(batch, self.config.horizon, self.config.discount)
-        rewards = self._explore(batch, ahead) if self.explorers else None
+        seen = self._with_new_places(batch) if self.explorers else batch
+        ahead = over_horizon(seen, self.config.horizon, self.config.discount)
         for arena, critic in enumerate(self.critics):
             critic.remember(ahead[arena], batch[arena])
-            if rewards is not None:
-                self.explorers[arena].watch(batch[arena], rewards[arena])
+        for arena, explorer in enumerate(self.explorers):
+            explorer.watch(batch[arena], seen.get(("next", "reward"))[arena, ..., 1:])
         errors: dict[int, Tensor] = {}
         with self._on_device(self.network):
             while soon := {arena: n for arena, one in enumerate(self.critics) if (n := one.soon)}:
@@ -118,17 +118,12 @@ class CriticLearner(Learner):
             error[arena] = last
         return error
 
-    def _explore(self, batch: TensorDictBase, ahead: TensorDictBase) -> Tensor:
-        """Put explorers' rewards beside those of transitions that look ahead.
-
-        Returns those of the batch [arenas, slots, ticks, 1].
-        """
-        rewards = torch.stack([one.of(batch[arena]) for arena, one in enumerate(self.new_places)])
-        following = batch.get("next").clone(recurse=False).set("reward", rewards)
-        seen = batch.clone(recurse=False).set("next", following)
-        own = over_horizon(seen, self.config.horizon, self.config.discount).get(("next", "reward"))
-        ahead.set(("next", "reward"), torch.cat([ahead.get(("next", "reward")), own], -1))
-        return rewards
+    def _with_new_places(self, batch: TensorDictBase) -> TensorDictBase:
+        """The batch with explorers' rewards in a second column."""
+        own = torch.stack([one.of(batch[arena]) for arena, one in enumerate(self.new_places)])
+        both = torch.cat([batch.get(("next", "reward")).cpu(), own], -1)
+        following = batch.get("next").clone(recurse=False).set("reward", both)
+        return batch.clone(recurse=False).set("next", following)
 
     def _learn(self, soon: dict[int, int]) -> dict[int, Tensor]:
         """So many steps of the critics of some arenas, and one of their networks where it is due.

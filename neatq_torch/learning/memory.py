@@ -98,12 +98,16 @@ class TransitionMemory:
 
     def knows(self, owner: int) -> bool:
         """Whether it has transitions that a genome made."""
-        return bool(len(self)) and bool(len(self._ages(owner)))
+        return bool(len(self)) and bool(self._own(owner).any())
+
+    def _own(self, owner: int) -> Tensor:
+        """Where transitions stand that a genome made, a mask."""
+        return self._columns["genome_id"][: len(self)].flatten() == owner
 
     def _ages(self, owner: int) -> Tensor:
         """Of the transitions that a genome made, the oldest first."""
-        own = self._columns["genome_id"][: len(self)].flatten() == owner
-        return ((own.nonzero().flatten().cpu() - self._oldest) % self.capacity).sort().values
+        rooms = self._own(owner).nonzero().flatten().cpu()
+        return ((rooms - self._oldest) % self.capacity).sort().values
 
     @property
     def _oldest(self) -> int:
@@ -143,7 +147,8 @@ def over_horizon(
 
     Args:
         batch: [..., ticks] with `observation`, `action`, `genome_id` and
-            `("next", observation / reward / terminated / done)`.
+            `("next", observation / reward / terminated / done)`; each column of rewards is summed
+            up for itself.
         ticks: n, at least 1.
         discount: gamma.
         keep_every: Of the ticks of the batch, one in so many begins a transition.
@@ -151,23 +156,24 @@ def over_horizon(
     Returns:
         The transitions [..., kept], on the CPU.
     """
-    reward, done, owner = (
-        batch.get(name).cpu().reshape(-1, batch.shape[-1]).numpy()
-        for name in (("next", "reward"), ("next", "done"), "genome_id")
-    )
+    length = batch.shape[-1]
+    flags = ("next", "done"), "genome_id"
+    done, owner = (batch.get(name).cpu().reshape(-1, length).numpy() for name in flags)
+    columns = batch.get(("next", "reward")).cpu()
+    reward = columns.reshape(-1, length, columns.shape[-1]).numpy()
     done = done.copy()
     done[:, :-1] |= owner[:, 1:] != owner[:, :-1]
     rewards, steps = _ahead(reward, done, ticks, discount, keep_every)
     shape = (*batch.shape[:-1], steps.shape[-1], 1)
     ahead = torch.from_numpy(steps).view(shape)
-    first = torch.arange(0, batch.shape[-1], keep_every).unsqueeze(-1)
+    first = torch.arange(0, length, keep_every).unsqueeze(-1)
 
     def at(name: str, ticks: Tensor) -> Tensor:
         values = batch.get(("next", name)).cpu()
         return values.gather(-2, ticks.expand(*shape[:-1], values.shape[-1]))
 
     following = {name: at(name, first + ahead - 1) for name in ("observation", "terminated")}
-    following["reward"] = torch.from_numpy(rewards).view(shape)
+    following["reward"] = torch.from_numpy(rewards).view(*shape[:-1], -1)
     names = ("observation", "action", "genome_id")
     now = {name: batch.get(name)[..., ::keep_every, :].cpu() for name in names}
     return TensorDict(now | {"steps_to_next_obs": ahead, "next": following}, shape[:-1])
@@ -181,19 +187,21 @@ def _ahead(
     discount: float,
     keep_every: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Discounted sums of rewards, and of how many ticks [robots, kept]."""
-    robots, length = reward.shape
+    """Discounted sums [robots, kept, columns] of rewards, and of how many ticks [robots, kept]."""
+    robots, length, columns = reward.shape
     kept = (length + keep_every - 1) // keep_every
-    rewards = np.zeros((robots, kept), np.float32)
+    rewards = np.zeros((robots, kept, columns), np.float32)
     steps = np.zeros((robots, kept), np.int64)
     for robot in range(robots):
         for begun in range(kept):
-            first, weight, total = begun * keep_every, 1.0, 0.0
+            first, weight, total = begun * keep_every, 1.0, np.zeros(columns)
             for tick in range(first, min(first + ticks, length)):
-                total += weight * reward[robot, tick]
+                for column in range(columns):
+                    total[column] += weight * reward[robot, tick, column]
                 weight *= discount
                 steps[robot, begun] += 1
                 if done[robot, tick]:
                     break
-            rewards[robot, begun] = total
+            for column in range(columns):
+                rewards[robot, begun, column] = total[column]
     return rewards, steps
