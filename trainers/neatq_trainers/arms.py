@@ -212,6 +212,9 @@ ARMS: dict[str, Arm] = {
 
 ANCHORS: dict[str, str] = {
     "ppo": "PPO of TorchRL (Schulman et al. 2017): one network, in the arena for the whole team",
+    "ppo-novelty": "ppo in the arena, half of whose reward is for being where few were",
+    "sac": "SAC of TorchRL (Haarnoja et al. 2018) in the arena: one network for the whole team",
+    "sac-novelty": "sac in the arena, half of whose reward is for being where few were",
     "sb3-ppo": "PPO of Stable-Baselines3 (Raffin et al. 2021), tuned by RL Zoo where it knows the "
     "task",
     "sb3-sac": "SAC of Stable-Baselines3 (Haarnoja et al. 2018), likewise; for boxes of actions",

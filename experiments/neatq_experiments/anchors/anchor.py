@@ -22,6 +22,7 @@ from torch import nn
 from neatq_envs.episodes import EVALUATION, TEST, EpisodeRows, Starts, episode_seeds
 from neatq_envs.gymnasium_rows import EnvRows, interface_of
 from neatq_experiments.anchors.ppo_settings import ppo_settings
+from neatq_experiments.anchors.sac_settings import sac_settings
 from neatq_experiments.anchors.settings import settings_of
 from neatq_experiments.forward import forward_us
 from neatq_torch.kinds import ConfigError
@@ -33,7 +34,10 @@ EVALUATIONS = 40
 """In a run, evenly over its steps."""
 RECENT = 100
 """Episodes of training whose mean return is told."""
-SB3 = "sb3-"
+SB3, NOVELTY = "sb3-", "-novelty"
+"""Which begin and end the names of anchors."""
+EXPLORER_SHARE = 0.5
+"""Of the new in the reward of anchors that explore, as of the explorers of `neatq`."""
 _BOXES, _CHOICES = ("sb3-sac", "sb3-td3"), ("sb3-dqn",)
 """The anchors that know one kind of actions only."""
 _OF_ARMS = ("slots", "every", "evaluated")
@@ -106,9 +110,10 @@ def anchor_config(
     own: dict[str, Any] = {"task": task, "arm": name, "world": world}
     if isinstance(world, ArenaConfig):
         if name.startswith(SB3):
-            words = "it knows Gymnasium tasks (gym:ID) only; ppo runs in the arena, too"
+            words = "it knows Gymnasium tasks (gym:ID) only; ppo and sac run in the arena"
             raise ConfigError(f"arm: {name} does not run on {task}: {words}")
-        return AnchorConfig(**own, ticks=arm.ticks, **ppo_settings("arena"))
+        return AnchorConfig(**own, ticks=arm.ticks, **_in_arena(name))
+    _refuse_elsewhere(task, name)
     _refuse_missing(name)
     choices = interface_of(world.task).choices
     _refuse_misfit(task, name, choices)
@@ -116,6 +121,24 @@ def anchor_config(
         return AnchorConfig(**own, **ppo_settings("box" if choices is None else "choices"))
     settings, source = settings_of(name.removeprefix(SB3), world)
     return AnchorConfig(**own, settings=settings, source=source)
+
+
+def _in_arena(name: str) -> dict[str, Any]:
+    """The settings of an anchor in the arena, and where they come from."""
+    known = ppo_settings("arena") if name.startswith("ppo") else sac_settings()
+    if name.endswith(NOVELTY):
+        known["settings"] = {**known["settings"], "novelty": EXPLORER_SHARE}
+    return known
+
+
+def _refuse_elsewhere(task: str, name: str) -> None:
+    """Check that an anchor runs on Gymnasium tasks."""
+    begin = f"arm: {name} does not run on {task}:"
+    if name.endswith(NOVELTY):
+        words = "its reward counts visits to places, which only the arena has"
+        raise ConfigError(f"{begin} {words}; ppo and sb3-sac run on Gymnasium tasks")
+    if name == "sac":
+        raise ConfigError(f"{begin} it runs in the arena only; sb3-sac runs on Gymnasium tasks")
 
 
 def _refuse_missing(name: str) -> None:

@@ -7,6 +7,7 @@ tenth of the range of returns that random play has shown. Values are bootstrappe
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any
 
@@ -16,8 +17,6 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
 from torch import Tensor, nn
-from torchrl.collectors import Collector
-from torchrl.envs import EnvBase
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
@@ -26,15 +25,11 @@ from neatq_envs.episodes import episode_seed
 from neatq_envs.gymnasium_rows import make_rows
 from neatq_envs.gymnasium_task import Interface
 from neatq_envs.random_play import EnvFacts
-from neatq_envs.torchrl_env import ArenaEnv
 from neatq_envs.torchrl_rows import GymnasiumRows
 from neatq_experiments.anchors.anchor import AnchorConfig, Trial
-from neatq_trainers.folder import Columns
-from neatq_trainers.metrics import ROW_TICKS
+from neatq_experiments.anchors.team import HIDDEN, Bounds, batches_of, train_team
 from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig, facts_of
 
-HIDDEN = (64, 64)
-"""Units of actor and critic, which share nothing."""
 REWARD_SHARE = 0.1
 """Of the range of returns: what a reward is divided by."""
 
@@ -67,9 +62,9 @@ class Trainer:
     """Actor, critic and their updates.
 
     Args:
-        config: Of the run.
+        settings: As `ppo_settings` gives them.
         inputs: Numbers in an observation.
-        bounds: Of actions in a box; None where there are actions to choose from.
+        bounds: Of actions in a box.
         choices: How many; None in a box.
         batches: In the whole run.
 
@@ -80,14 +75,14 @@ class Trainer:
 
     def __init__(
         self,
-        config: AnchorConfig,
+        settings: Mapping[str, Any],
         inputs: int,
         *,
-        bounds: Any = None,
+        bounds: Bounds,
         choices: int | None = None,
         batches: int,
     ) -> None:
-        self._settings, self._batches, self._done = config.settings, batches, 0
+        self._settings, self._batches, self._done = settings, batches, 0
         outputs = len(bounds[0]) if choices is None else choices
         self.network = _orthogonal(inputs, outputs, 0.01)
         drawn: dict[str, Any] = {"return_log_prob": True}
@@ -135,14 +130,6 @@ class Trainer:
                 nn.utils.clip_grad_norm_(self._loss.parameters(), own["most_norm"])
                 self._optimizer.step()
 
-    def collector(self, env: EnvBase) -> Collector:
-        """The batches of a run."""
-        frames = env.batch_size.numel() * self._settings["batch_steps"]
-        asked: dict[str, Any] = {"frames_per_batch": frames, "total_frames": frames * self._batches}
-        return Collector(
-            env, self.actor, auto_register_policy_transforms=False, use_buffers=False, **asked
-        )
-
 
 class ActingActor:
     """The actor on a Gymnasium task without exploration; see `Pupil`."""
@@ -175,36 +162,16 @@ def train_ppo(config: AnchorConfig, seed: int) -> dict[str, Any]:
     Returns:
         Columns of metrics in the arena; on a Gymnasium task what it came to, see `Trial.result`.
     """
-    torch.manual_seed(seed)
     if isinstance(config.world, ArenaConfig):
-        return _train_team(config, config.world, seed)
+        return train_team(config, seed, _team_trainer)
+    torch.manual_seed(seed)
     return _train_rows(config, config.world, seed)
 
 
-def _train_team(config: AnchorConfig, world: ArenaConfig, seed: int) -> Columns:
-    """In the arena: a row of metrics for every 100 ticks."""
-    env = ArenaEnv(world.scenario, seed=seed)
-    inputs = len(env.arena.schema.observations)
-    bounds = env.arena.schema.action_bounds(env.scenario)
-    batches = -(-config.length[1] // config.settings["batch_steps"])
-    trainer = Trainer(config, inputs, bounds=bounds, batches=batches)
-    collector = trainer.collector(env)
-    distances = list[Tensor]()  # [robots] of every hundredth tick
-    for batch in collector:
-        distances += batch["next", "distance"][0, :, ROW_TICKS - 1 :: ROW_TICKS, 0].unbind(1)
-        trainer.update(batch)
-    collector.shutdown()
-    distance = torch.stack(distances).double().numpy()
-    unknown = np.full(len(distance), np.nan)
-    names = "eligible_mean_distance", "newborn_mean_distance", "champion_distance"
-    return {
-        "arena": np.zeros(len(distance)),
-        "tick": ROW_TICKS * np.arange(1.0, len(distance) + 1),
-        "min_distance": distance.min(1),
-        "mean_distance": distance.mean(1),
-        "births": np.zeros(len(distance)),
-        **dict.fromkeys(names, unknown),
-    }
+def _team_trainer(
+    settings: Mapping[str, Any], inputs: int, bounds: Bounds, batches: int
+) -> Trainer:
+    return Trainer(settings, inputs, bounds=bounds, batches=batches)
 
 
 def _train_rows(config: AnchorConfig, world: GymnasiumConfig, seed: int) -> dict[str, Any]:
@@ -221,23 +188,22 @@ def _train_rows(config: AnchorConfig, world: GymnasiumConfig, seed: int) -> dict
     )
     steps, batches = 0, -(-config.length[1] // (count * own))
     trainer = Trainer(
-        config,
+        config.settings,
         interface.inputs,
         bounds=interface.bounds,
         choices=interface.choices,
         batches=batches,
     )
     trial = Trial(config, seed, free, ActingActor(trainer.network, interface, facts))
-    collector, sums = trainer.collector(env), np.zeros(count)
+    sums = np.zeros(count)
     low, high = facts.value_range
-    for batch in collector:
+    for batch in batches_of(env, trainer.actor, own, batches):
         _count_returns(batch, sums, trial)
         batch["next", "reward"] /= REWARD_SHARE * (high - low)
         trainer.update(batch)
         steps += count * own
         if trial.due(steps):
             trial.look(steps)
-    collector.shutdown()
     result = trial.result(steps, interface.inputs)
     for one in (rows, free):
         one.close()

@@ -67,8 +67,9 @@ class CompareCommand:
     arms: tuple[str, ...] | None = None
     """Arms, variants or groups of variants, such as ladder (from described to neatq, one part at a
     time) and without (neatq without one part each), and anchors, which one would otherwise take:
-    ppo, and on Gymnasium tasks sb3-ppo, sb3-sac, sb3-td3 and sb3-dqn. Default: the five arms of
-    the arena; on other tasks rtneat, neat, neatq and neat+q."""
+    ppo; in the arena ppo-novelty, sac and sac-novelty; on Gymnasium tasks sb3-ppo, sb3-sac,
+    sb3-td3 and sb3-dqn. Default: the five arms of the arena; on other tasks rtneat, neat, neatq
+    and neat+q."""
     seeds: int | None = None
     """Seeds 0, 1, ... of each arm on each task. Default: 20; with --quick 2."""
     first_seed: int = 0
