@@ -166,8 +166,7 @@ class Arena:
         if self._flags.update(self.tick - self._began):
             self.distance = flag_distance(self.position, self.flag)
         ignore = actions[..., 3] > IGNORE_ABOVE if actions.shape[-1] > 3 else None
-        feedback = self._feedback(actions) if self._senses.feedback is not None else None
-        self.observation = self._sense(ahead, ignore, feedback)
+        self.observation = self._sense(ahead, self.reward, ignore)
 
     def rebuild(self) -> None:
         """Build the physics anew from the arrays, as a restored run does.
@@ -229,20 +228,14 @@ class Arena:
         self.__init__(Scenario.from_dict(state["scenario"]), state["seeds"])
         self.load_world_state(state)
 
-    def _feedback(self, actions: np.ndarray) -> np.ndarray:
-        low, high = (bound[:2] for bound in self._bounds)
-        done = np.clip(actions[..., :2], low, high)
-        share = np.divide(done, 2 * high, out=np.zeros_like(done), where=high > 0) + 0.5
-        return np.concatenate([share, self.reward[..., None]], axis=-1)
-
     def _sense(
         self,
         ahead: np.ndarray,
+        reward: np.ndarray | None = None,
         ignore: np.ndarray | None = None,
-        feedback: np.ndarray | None = None,
     ) -> np.ndarray:
         flag, second = self._flags.sensed
-        return self._senses.sense(self.position, ahead, flag, ignore, second, feedback)
+        return self._senses.sense(self.position, ahead, flag, ignore, second, reward)
 
     def _draw_spawns(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Places [arenas, robots, 2] and headings [arenas, robots], drawn where masked."""

@@ -87,11 +87,11 @@ class RobotEnv(Worlds, gymnasium.Env[np.ndarray, np.ndarray]):
     `reset()` the next one.
 
     ## Observation Space
-    That of one robot of `neatq_envs.torchrl_env.ArenaEnv`, described there: float32 [12] in [0, 1];
-    [15] with sensors "arena-feedback", [18] with "opennero"; [17], [20] and [18] if there are two
-    flags. Alone, a robot is its own only friend: `friend_proximity` is 1 and `friend_direction`
-    0.5. `info` holds `distance` to the flag that counts (units) and `pose`, float64 [3] = x, y
-    (units), heading (rad).
+    That of one robot of `neatq_envs.torchrl_env.ArenaEnv`, described there: float32 [12] in [0, 1]
+    with sensors "arena" and "arena-feedback", [18] with "opennero"; [17], [18] and [18] if there
+    are two flags. Alone, a robot is its own only friend: `friend_proximity` is 1 and
+    `friend_direction` 0.5. `info` holds `distance` to the flag that counts (units) and `pose`,
+    float64 [3] = x, y (units), heading (rad).
 
     ## Action Space
     That of `ArenaEnv`, too: float32 [2], or [4] with sensors "opennero". Trainers that explore

@@ -33,7 +33,7 @@ _FLAG = tuple(f"flag_{sector}" for sector in _SECTORS)
 _ENEMY = tuple(f"enemy_{sector}" for sector in _SECTORS)
 _SECOND_FLAG = tuple(f"second_flag_{sector}" for sector in _SECTORS)
 _FRIEND = ("friend_proximity", "friend_direction")
-_FEEDBACK = ("last_speed", "last_turn", "last_reward")
+_FEEDBACK = "last_reward"
 _RAYS = np.array([(math.cos(angle), math.sin(angle)) for angle in RAY_ANGLES_RAD])
 
 
@@ -64,18 +64,18 @@ _MOTION, _NERO = ("speed", "turn"), ("speed", "turn", "fire", "ignore_friends")
 # The order in which OpenNERO really filled its inputs, dead ones included: there are no enemies (by
 # whose radar a second flag is seen), friend sensors took the place of the target ray, index 17 was
 # never written. In the arena a second flag and feedback come last: the first 12 indices stay.
+# Feedback is for worlds in which nothing else tells what counts: elsewhere a critic takes the last
+# reward for the mark of a good robot, and learns less about what it does.
 SCHEMAS: dict[str, SensorSchema] = {
     "arena": SensorSchema("arena-1", (*_WALL, *_FLAG, *_FRIEND), _MOTION),
     "opennero": SensorSchema("opennero-2014", (*_WALL, *_FLAG, *_ENEMY, *_FRIEND, "unused"), _NERO),
     "arena-two-flags": SensorSchema(
         "arena-1-two-flags", (*_WALL, *_FLAG, *_FRIEND, *_SECOND_FLAG), _MOTION
     ),
-    "arena-feedback": SensorSchema(
-        "arena-1-feedback", (*_WALL, *_FLAG, *_FRIEND, *_FEEDBACK), _MOTION
-    ),
+    "arena-feedback": SensorSchema("arena-1", (*_WALL, *_FLAG, *_FRIEND), _MOTION),
     "arena-feedback-two-flags": SensorSchema(
         "arena-1-feedback-two-flags",
-        (*_WALL, *_FLAG, *_FRIEND, *_SECOND_FLAG, *_FEEDBACK),
+        (*_WALL, *_FLAG, *_FRIEND, *_SECOND_FLAG, _FEEDBACK),
         _MOTION,
     ),
     "opennero-two-flags": SensorSchema(
@@ -95,8 +95,8 @@ class Senses:
 
     def __init__(self, scenario: Scenario) -> None:
         self.schema = schema_of(scenario)
-        has = _FEEDBACK[0] in self.schema.observations
-        self.feedback = self.schema.index(_FEEDBACK[0]) if has else None
+        has = _FEEDBACK in self.schema.observations
+        self._feedback = self.schema.index(_FEEDBACK) if has else None
         size = scenario.width, scenario.height
         self._barriers = barriers(scenario.walls, *size, BORDER_INSET)
         self._grid = grid_of(*size, scenario.robots, FRIEND_RANGE)
@@ -108,7 +108,7 @@ class Senses:
         flag: np.ndarray,
         ignore: np.ndarray | None = None,
         second: np.ndarray | None = None,
-        feedback: np.ndarray | None = None,
+        reward: np.ndarray | None = None,
     ) -> np.ndarray:
         """Observations, float32 [arenas, robots, observations], each in [0, 1].
 
@@ -121,8 +121,8 @@ class Senses:
             flag: float64 [arenas, 2] in units.
             ignore: bool [arenas, robots]; where true, friend sensors read 0.
             second: place of the second flag, likewise; needed if the schema has sensors for it.
-            feedback: the last speed and turn, as shares of their range, and reward, float64
-                [arenas, robots, 3]; None at the beginning of a life, where all three read 0.5.
+            reward: of the last tick, float64 [arenas, robots], read where the schema has it; None
+                at the beginning of a life, where it reads 0.5.
         """
         values = np.zeros((*position.shape[:2], len(self.schema.observations)), dtype=np.float32)
         walls = ray_distances(position, ahead, _RAYS, RAY_LENGTH, self._barriers)
@@ -132,8 +132,8 @@ class Senses:
         if second is not None:
             index = self.schema.index(_SECOND_FLAG[0])
             _write_flag(values[..., index:], position, ahead, second)
-        if self.feedback is not None:
-            values[..., self.feedback :] = 0.5 if feedback is None else feedback
+        if self._feedback is not None:
+            values[..., self._feedback] = 0.5 if reward is None else reward
         if ignore is not None and ignore.any():
             values[ignore, friend : friend + 2] = 0.0
         return values

@@ -125,17 +125,15 @@ is in the sector and within 300 units |
 itself included |
     | 11 | friend_direction | 0..1 | angle to it, to the left, (degrees + 180) / 360 |
 
-    With sensors "arena-feedback" three more come last: last_speed and last_turn, what was done, as
-    a share of the range of actions, and last_reward; all 0.5 at the beginning of a life. The action
-    and the reward of the step before are what a network needs to tell from within a life which
-    rules hold (Duan et al. 2016).
-
     With sensors "opennero" (`opennero-2014`): 0-9 as above, 10-14 enemy radar (always 0),
     15 friend_proximity, 16 friend_direction, 17 unused (always 0).
 
     Where two flags stand (`switch_ticks`), both are sensed and nothing tells which one counts.
     Flag sensors are those of the first; second_flag_left and so on, alike, are 12-16 of "arena"
-    (`arena-1-two-flags`) and 10-14 of "opennero" (`opennero-2014-two-flags`).
+    (`arena-1-two-flags`) and 10-14 of "opennero" (`opennero-2014-two-flags`). With sensors
+    "arena-feedback", which are those of "arena" elsewhere, last_reward follows as index 17
+    (`arena-1-feedback-two-flags`): `reward` of the tick before, 0.5 at the beginning of a life, by
+    which a robot can tell within its life what counts (compare Duan et al. 2016).
 
     Beside it: `distance` [.., 1] to the flag that counts (units, float32), `pose` [.., 3] = x, y
     (units), heading (rad), float32, `step_count` [.., 1] = age of the life (ticks, int64), and

@@ -201,6 +201,21 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
             summary="in the arena: neatq that critic and fittest teach, no explorer",
             changes={"learner.novelty": None},
         ),
+        "neatq-teachers-by-chance": Variant(
+            base="neatq",
+            summary="in the arena: neatq whose newborns draw their teachers, and inherit none",
+            changes={"learner.teacher_mutation": 1.0},
+        ),
+        "neatq-learning-alone": Variant(
+            base="neatq",
+            summary="in the arena: fifty networks that follow the critic; nobody is born",
+            changes={
+                "population": {"kind": "fixed"},
+                "learner.every": 4,
+                "learner.teacher_mutation": None,
+                "learner.novelty": None,
+            },
+        ),
         "neatq-all-breed": Variant(
             base="neatq",
             summary="in the arena: neatq in which all who can be judged breed, by fitness",
@@ -208,7 +223,7 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
         ),
         "neatq-without-feedback": Variant(
             base="neatq",
-            summary="in the arena: neatq that senses no last speed, turn and reward",
+            summary="in the arena: neatq that senses no last reward where two flags stand",
             changes={"world.scenario.sensors": "arena"},
         ),
         "neatq-published-reward": Variant(

@@ -14,7 +14,7 @@ from neatq_envs.arena import Arena, directions
 from neatq_envs.physics import border_walls, wall_box
 from neatq_envs.rays import barriers, ray_distances
 from neatq_envs.scenario import TASKS, Scenario
-from neatq_envs.sensors import RAY_ANGLES_RAD, RAY_LENGTH, SCHEMAS, Senses
+from neatq_envs.sensors import RAY_ANGLES_RAD, RAY_LENGTH, SCHEMAS, Senses, schema_of
 from neatq_envs.walls import Wall
 
 
@@ -48,26 +48,20 @@ def test_the_tables_of_indices() -> None:
     assert high.tolist() == pytest.approx([1, 0.2, 1, 1])
 
 
-def test_feedback_is_the_last_action_and_reward_by_hand() -> None:
-    """Half speed ahead, a quarter of the greatest turn to the right, away from the flag."""
-    task = TASKS["flag"].replaced(sensors="arena-feedback", reward="progress", robots=1)
+def test_feedback_is_the_last_reward_where_two_flags_stand() -> None:
+    task = TASKS["switch"].replaced(sensors="arena-feedback", reward="progress", robots=2)
     arena, plain = Arena(task, [0]), Arena(task.replaced(sensors="arena"), [0])
-    feedback = [arena.schema.index(f"last_{name}") for name in ("speed", "turn", "reward")]
-    assert feedback == [12, 13, 14]
-    assert arena.observation[0, 0, 12:].tolist() == [0.5, 0.5, 0.5]
-    for action in ([0.5, -0.05], [7.0, 0.0]):  # clipped to full speed
-        for one in (arena, plain):
-            one.step(np.array([[action]]))
-        speed, turn, reward = arena.observation[0, 0, 12:].tolist()
-        assert speed == pytest.approx((1 + min(action[0], 1)) / 2)
-        assert turn == pytest.approx(0.5 + action[1] / 0.4)
-        assert reward == pytest.approx(arena.reward[0, 0])
-        assert (arena.observation[..., :12] == plain.observation).all()
-    still = Arena(task.replaced(max_turn_rad=0.0), [0])
-    still.step(np.array([[[-1.0, 0.1]]]))
-    assert still.observation[0, 0, 12:14].tolist() == [0.0, 0.5]
-    arena.respawn(np.ones((1, 1), dtype=bool))
-    assert arena.observation[0, 0, 12:].tolist() == [0.5, 0.5, 0.5]
+    assert arena.schema.observations == (*plain.schema.observations, "last_reward")
+    assert arena.observation[..., -1].tolist() == [[0.5, 0.5]]
+    for one in (arena, plain):
+        one.step(np.array([[[1.0, 0.0], [0.0, 0.0]]]))
+    assert arena.observation[..., -1] == pytest.approx(arena.reward)
+    assert arena.reward[0, 1] == 0.5 != arena.reward[0, 0]
+    assert (arena.observation[..., :-1] == plain.observation).all()
+    arena.respawn(np.array([[True, False]]))
+    assert arena.observation[0, 0, -1] == 0.5
+    one_flag = (TASKS["flag"].replaced(sensors=one) for one in ("arena", "arena-feedback"))
+    assert len({schema_of(task) for task in one_flag}) == 1
 
 
 def test_a_robot_beside_the_right_border() -> None:

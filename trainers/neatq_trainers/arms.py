@@ -141,7 +141,8 @@ ARMS: dict[str, Arm] = {
         summary=_TAUGHT.summary,
         population=RtNEATConfig(survival_share=0.2),
         learner=CriticConfig(
-            updates_per_step=0.02,
+            updates_per_step=0.01,
+            newborn_updates=500,
             horizon=20,
             discount=0.97,
             noise=0.05,
@@ -152,6 +153,7 @@ ARMS: dict[str, Arm] = {
         senses={"sensors": "arena-feedback", "reward": "progress"},
         episodic={
             "learner.updates_per_step": 0.5,
+            "learner.newborn_updates": 1_000,
             "learner.horizon": 3,
             "learner.discount": 0.99,
             "learner.noise": 0.1,
