@@ -14,6 +14,9 @@ from neatq_torch.learning.learner import Saved
 class Teachers:
     """The teacher of each network, inherited from its fitter parent, now and then drawn anew.
 
+    An explorer's pupil passes on imitation: its offspring shall keep what it found, and the
+    explorer would lead them away again.
+
     What a newborn learns from is so chosen by the fitness of whole lives, as an evolved evaluation
     is (Ackley & Littman 1991): where a reward leads to the goal the critic's pupils have offspring,
     where it deceives the explorer's find the way and the model's follow. Learning from the fittest
@@ -58,6 +61,8 @@ class Teachers:
         for slot, genome, _, (parent, *_) in replacements:
             drawn = rng.random() < self.mutation
             teacher = self.choices[rng.integers(len(self.choices))] if drawn else known[parent]
+            if not drawn and teacher == Teacher.EXPLORER:
+                teacher = Teacher.MODEL
             known[genome.genome_id] = values[slot] = int(teacher)
             ids[slot] = genome.genome_id
         champion = self._populations[arena].champion

@@ -65,6 +65,19 @@ def test_a_newborn_has_the_teacher_of_its_fitter_parent_even_if_that_was_born_wi
     assert learner.models.tolist() == [2]
 
 
+def test_offspring_of_an_explorers_pupil_imitate() -> None:
+    own, _, population = teachers_of(1e-12)
+    own.values[0] = [Teacher.CRITIC, Teacher.EXPLORER, Teacher.CRITIC, Teacher.CRITIC]
+    child, grandchild = (population.genomes[0].unchecked(genome_id=one) for one in (5, 6))
+    own.inherit(0, [Replacement(0, child, 1, (2, 3)), Replacement(3, grandchild, 4, (5,))])
+    assert own.values[0].tolist() == [
+        Teacher.MODEL,
+        Teacher.EXPLORER,
+        Teacher.CRITIC,
+        Teacher.MODEL,
+    ]
+
+
 def test_where_nobody_can_be_judged_there_is_no_model() -> None:
     own, learner, population = teachers_of(1e-12)
     population.champion = None
