@@ -223,7 +223,7 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
         ),
         "neatq-without-feedback": Variant(
             base="neatq",
-            summary="in the arena: neatq that senses no last reward where two flags stand",
+            summary="in the arena: neatq that senses nothing of the tick before",
             changes={"world.scenario.sensors": "arena"},
         ),
         "neatq-published-reward": Variant(

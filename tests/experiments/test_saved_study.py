@@ -15,12 +15,16 @@ from neatq_trainers.cli import main
 
 STUDY = Path(__file__).resolve().parents[2] / "docs" / "study"
 TABLES = sorted(path.parent for path in STUDY.rglob("results.csv.gz"))
+EARLIER = ("taught", "teachers")
+"""Of an arm whose settings changed since, as docs/study.md says; to be made again."""
 register()
 
 
 @pytest.mark.parametrize("folder", TABLES, ids=lambda path: path.name)
 def test_saved_tables_are_those_of_this_versions_arms(folder: Path) -> None:
-    assert outdated(read_tables(folder)) == []
+    earlier = folder.name in EARLIER
+    assert bool(outdated(read_tables(folder))) == earlier
+    assert not earlier or "are of an earlier version" in (STUDY.parent / "study.md").read_text()
 
 
 @pytest.mark.parametrize("folder", TABLES, ids=lambda path: path.name)
