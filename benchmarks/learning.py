@@ -8,7 +8,7 @@ each batch, and the teaching of one newborn, beside acting in these batches. "sh
 same of the arm `neatq`, also beside itself by torch operations. CPU time.
 
 Both fall short of a quarter on top of acting. Of shared replay every minibatch takes three passes
-through all networks and the gradient of wire fitting; of the critic two thirds are the thousand
+through all networks and the gradient of wire fitting; of the critic most are the five hundred
 minibatches by which a newborn is taught.
 
 "update" is forward, TD error, backward and update of all networks (`CandidateTDLoss`, `TDLearner`)
