@@ -65,8 +65,8 @@ class CompareCommand:
     tasks: tuple[str, ...] | None = None
     """Built-in tasks, scenario files, gym:ID, or registered worlds. Default: those of the paper."""
     arms: tuple[str, ...] | None = None
-    """Arms, variants or groups of variants, such as ladder (from described to neatq, one part at a
-    time) and without (neatq without one part each), and anchors, which one would otherwise take:
+    """Arms, variants or groups of variants, such as ladder (from described to replay, one part at
+    a time) and without (replay without one part each), and anchors, which one would otherwise take:
     ppo; in the arena ppo-novelty, sac and sac-novelty; on Gymnasium tasks sb3-ppo, sb3-sac,
     sb3-td3 and sb3-dqn. Default: the five arms of the arena; on other tasks rtneat, neat, neatq
     and neat+q."""
