@@ -219,7 +219,12 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
         "neatq-all-breed": Variant(
             base="neatq",
             summary="in the arena: neatq in which all who can be judged breed, by fitness",
-            changes={"population.survival_share": None},
+            changes={"population.survival_share": None, "population.pioneer_share": None},
+        ),
+        "neatq-without-pioneers": Variant(
+            base="neatq",
+            summary="in the arena: neatq in which only the fittest breed",
+            changes={"population.pioneer_share": None},
         ),
         "neatq-without-feedback": Variant(
             base="neatq",

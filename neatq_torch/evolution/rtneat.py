@@ -22,8 +22,8 @@ from neatq_torch.evolution.reproduction import (
     choose_parents,
 )
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
-from neatq_torch.evolution.trials import Trials, relative_fitness, weighted
-from neatq_torch.kinds import check_fields
+from neatq_torch.evolution.trials import BestStretches, Trials, relative_fitness, weighted
+from neatq_torch.kinds import ConfigError, check_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +41,11 @@ class RtNEATConfig:
         survival_share: share of those who can be judged, the fittest, who may breed, all of them as
             often, in (0, 1]; a mate is of the same species. (That of `NEATConfig` is a share of
             each species.) None: all may, by fitness, as in OpenNERO.
+        pioneer_share: share of births, in [0, 1], that are a pioneer's while there is one: the
+            robot with the best hundred ticks in its last trial (`BestStretches`), whatever all of
+            it was worth, if those of the fittest are worse by more than a standard deviation.
+            Nobody replaces it; its offspring are mutants. So a way that was found once is kept
+            until somebody walks it well. None: no pioneers.
         founders: what the first genomes look like; None: no hidden nodes.
         parsimony: the champion is the smallest network whose average return is within this share of
             the best one, in [0, 1), and who lives and breeds is decided by return and size; see
@@ -56,13 +61,19 @@ class RtNEATConfig:
     minimum_life_episodes: int | None = None
     ineligible_fraction: float = 0.5
     survival_share: float | None = None
+    pioneer_share: float | None = None
     founders: LayeredFounders | None = None
     parsimony: float | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, minimum_life_ticks="[1, inf]", minimum_life_episodes="[1, inf]")
         check_fields(self, ineligible_fraction="(0, 1]", survival_share="(0, 1]")
-        check_fields(self, parsimony="[0, 1)")
+        check_fields(self, parsimony="[0, 1)", pioneer_share="[0, 1]")
+        if self.pioneer_share is not None and self.survival_share is None:
+            raise ConfigError(
+                "pioneer_share: expected None without a survival_share, as pioneers breed beside "
+                "the fittest; set both"
+            )
 
 
 def interval_ticks(life_ticks: int, slots: int, ineligible_fraction: float) -> float:
@@ -95,8 +106,10 @@ class RtNEAT(Population):
         tick: ticks recorded so far.
         speciation: species and their threshold.
         trials: ages and rewards.
+        stretches: what the best parts of trials were worth; None without pioneers.
         birth_order: int64 [slots], the oldest first.
         settled: replacements that are no longer due.
+        pioneering: genome ids of the offspring that pioneers had in the last `advance`.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -114,6 +127,10 @@ class RtNEAT(Population):
         config, slots, dimensions = self.config, len(self.genomes), self.reward_weights.size
         lives = config.minimum_life_ticks, config.minimum_life_episodes
         self.tick, self.trials = 0, Trials(slots, dimensions, *lives)
+        self.pioneering = set[int]()
+        self.stretches = None if config.pioneer_share is None else BestStretches(slots)
+        if self.stretches is not None:
+            self.kept = (*self.kept, "stretches")
         self.speciation = Speciation(config.species, config.reproduction.distance)
         for slot in range(slots):
             self.speciation.add(slot, self.genomes)
@@ -165,7 +182,11 @@ class RtNEAT(Population):
 
     def record(self, rewards: ArrayLike, done: Data = None, *, behaviour: Data = None) -> None:
         """See `Population`; `done` matters to trials of episodes, `behaviour` to nothing."""
+        running = self.trials.running.copy()
         closing = self.trials.record(rewards, done)
+        if self.stretches is not None:
+            earned = weighted(np.asarray(rewards, np.float64), self.reward_weights)
+            self.stretches.record(earned, running, closing)
         self.tick += closing.shape[1]
 
     def due(self) -> int:
@@ -192,6 +213,7 @@ class RtNEAT(Population):
         """
         due = self.due()
         self.settled += due
+        self.pioneering.clear()
         replacements: list[Replacement] = []
         while len(replacements) < due and self.eligible.any():
             replacements.append(self._replace_worst())
@@ -200,30 +222,65 @@ class RtNEAT(Population):
     def _replace_worst(self) -> Replacement:
         score, eligible = self.score, self.eligible
         adjusted = score / self.speciation.sizes(len(self.genomes))
+        breeders = self._breeders(score, eligible)
+        pioneer = self._pioneer(eligible, breeders)
+        if pioneer is not None:
+            adjusted[pioneer] = np.inf
         oldest_first = self.birth_order[eligible[self.birth_order]]
         slot = int(oldest_first[adjusted[oldest_first].argmin()])
         removed = self.genomes[slot].genome_id
         self.speciation.remove(slot)
-        slots, interspecies = self._parents(score, eligible, slot)
+        share = self.config.pioneer_share or 0
+        pioneering = pioneer not in (None, slot) and self.rng.random() < share
+        if pioneer is not None and pioneering:
+            slots, interspecies = (pioneer,), False
+        else:
+            slots, interspecies = self._parents(score, eligible, breeders[breeders != slot])
         genome, parents = self.breed(slots, score, interspecies=interspecies)
+        if pioneering:
+            self.pioneering.add(genome.genome_id)
         self.genomes[slot] = genome
         self.trials.reset(slot)
+        if self.stretches is not None:
+            self.stretches.reset(slot)
         order = self.birth_order
         order[:-1], order[-1] = order[order != slot], slot
         self.speciation.add(slot, self.genomes)
         self.speciation.count_offspring(self.genomes, self.birth_order)
         return Replacement(slot, genome, removed, parents)
 
+    @property
+    def pioneer(self) -> int | None:
+        """Slot of the pioneer, see `RtNEATConfig.pioneer_share`; None while there is none."""
+        return self._pioneer(self.eligible, self._breeders(self.score, self.eligible))
+
+    def _pioneer(self, eligible: NDArray[np.bool_], breeders: NDArray[np.intp]) -> int | None:
+        judged = np.flatnonzero(eligible)
+        if self.stretches is None or not breeders.size:
+            return None
+        best = self.stretches.latest
+        if not np.isfinite(best[judged]).all():
+            return None
+        first = int(judged[best[judged].argmax()])
+        return first if best[first] - best[breeders].max() > best[judged].std() else None
+
+    def _breeders(
+        self, score: NDArray[np.float64], eligible: NDArray[np.bool_]
+    ) -> NDArray[np.intp]:
+        """Slots of the share that breeds, the fittest first; none where all may."""
+        judged = np.flatnonzero(eligible)
+        best_first = judged[np.argsort(-score[judged], kind="stable")]
+        share = self.config.survival_share
+        return best_first[: 0 if share is None else max(1, floor(share * judged.size))]
+
     def _parents(
-        self, score: NDArray[np.float64], eligible: NDArray[np.bool_], removed: int
+        self,
+        score: NDArray[np.float64],
+        eligible: NDArray[np.bool_],
+        breeders: NDArray[np.intp],
     ) -> tuple[tuple[int, ...], bool]:
-        """See `choose_parents`; with a `survival_share` see `choose_breeders`."""
-        share, means = self.config.survival_share, (self.config.reproduction, self.rng)
-        if share is not None:
-            judged = np.flatnonzero(eligible)
-            best_first = judged[np.argsort(-score[judged], kind="stable")]
-            breeders = best_first[: max(1, floor(share * judged.size))]
-            breeders = breeders[breeders != removed]
-            if breeders.size:
-                return choose_breeders(self.species, score, breeders, *means)
+        """See `choose_breeders`, and `choose_parents` where there are none."""
+        means = self.config.reproduction, self.rng
+        if breeders.size:
+            return choose_breeders(self.species, score, breeders, *means)
         return choose_parents(self.species, score, eligible, *means)

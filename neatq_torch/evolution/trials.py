@@ -118,6 +118,52 @@ class Trials(Kept):
             getattr(self, name)[slot] = 0
 
 
+class BestStretches(Kept):
+    """The best hundred ticks in a row of each slot's last trial.
+
+    A trial is cut into stretches from its beginning; what is left over at its end does not count.
+
+    Attributes:
+        earned: float64 [slots], in the stretch that runs.
+        best: float64 [slots], the most that a stretch of the running trial earned; -inf before.
+        latest: float64 [slots], likewise of the last closed trial.
+    """
+
+    TICKS = 100
+    kept = ("earned", "best", "latest")
+
+    def __init__(self, slots: int) -> None:
+        self.earned, self.best, self.latest = np.empty((3, slots))
+        self.reset(slice(None))
+
+    def record(
+        self,
+        rewards: NDArray[np.float64],
+        running: NDArray[np.int64],
+        closing: NDArray[np.bool_],
+    ) -> None:
+        """Add rewards [slots, ticks].
+
+        Args:
+            rewards: Of each tick.
+            running: Ticks of each slot's running trial before them [slots].
+            closing: With which ticks a trial closes [slots, ticks].
+        """
+        running = running.copy()
+        for reward, closes in zip(rewards.T, closing.T, strict=True):
+            self.earned += reward
+            running += 1
+            full = running % self.TICKS == 0
+            self.best[full] = np.maximum(self.best, self.earned)[full]
+            self.earned[full | closes] = 0
+            self.latest[closes] = self.best[closes]
+            self.best[closes], running[closes] = -np.inf, 0
+
+    def reset(self, slot: int | slice) -> None:
+        """Start a new life in a slot."""
+        self.earned[slot], self.best[slot], self.latest[slot] = 0, -np.inf, -np.inf
+
+
 def checked(
     name: str,
     values: ArrayLike | None,

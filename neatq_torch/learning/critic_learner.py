@@ -11,6 +11,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from neatq_torch.genome import Genome
 from neatq_torch.kinds import ConfigError
 from neatq_torch.learning import compiled_critic
 from neatq_torch.learning.heads import CandidateHeads, Heads
@@ -28,7 +29,7 @@ class Teacher(IntEnum):
     Attributes:
         CRITIC: What the rewards are worth.
         EXPLORER: What the rewards and places where few were lately are worth together.
-        MODEL: What the fittest of the arena did, whatever it was worth (social learning).
+        MODEL: What the fittest of the arena does, whatever it is worth (social learning).
     """
 
     CRITIC = 0
@@ -58,7 +59,7 @@ class CriticLearner(Learner):
 
     Attributes:
         teachers: The `Teacher` of each network, int64 [arenas, slots].
-        models: Genome ids of whom the model's pupils imitate, -1 for nobody, int64 [arenas].
+        models: Slots of whom the model's pupils imitate, -1 for nobody, int64 [arenas].
 
     Raises:
         ConfigError: If there is more than one candidate.
@@ -218,14 +219,11 @@ class CriticLearner(Learner):
         own, size = slice(row * slots, (row + 1) * slots), self.config.policy_size
         if teacher is Teacher.EXPLORER:
             critic = self.explorers[arena]
-        model = int(self.models[arena])
-        if teacher is not Teacher.MODEL or not critic.memory.knows(model):
-            model = None
-        names = ("observation",) if model is None else ("observation", "action")
-        drawn = self._drawn(arena, updates * size, *names, owner=model)
-        seen, wanted = drawn["observation"].view(updates, size, -1), None
-        if model is not None:
-            wanted = ((critic.unit(drawn["action"]) + 1) / 2).view(updates, size, -1)
+        model = self._model(arena) if teacher is Teacher.MODEL else None
+        owner = None if model is None else model.genome_id
+        drawn = self._drawn(arena, updates * size, "observation", owner=owner)["observation"]
+        seen = drawn.view(updates, size, -1)
+        wanted = None if model is None else self._outputs(model, drawn).view(updates, size, -1)
         if compiled_critic.accepts(network.weight, seen):
             compiled_critic.teach(network, own, adams, seen, critic.critic, rate, wanted)
             return
@@ -240,6 +238,21 @@ class CriticLearner(Learner):
             with torch.no_grad():
                 weight = network.weight[own]
                 take_over(weight, weight - rate * adam(gradient[own], *adams))
+
+    def _model(self, arena: int) -> Genome | None:
+        """Whom the model's pupils of an arena imitate; None if nothing it did is remembered."""
+        slot = int(self.models[arena])
+        if slot < 0:
+            return None
+        genome = self.network.genome(arena * self.network.shape[1] + slot)
+        return genome if self.critics[arena].memory.knows(genome.genome_id) else None
+
+    def _outputs(self, genome: Genome, observations: Tensor) -> Tensor:
+        """What a genome's network says to observations [rows, inputs], cut off at 0 and 1."""
+        network = PopulationNetwork([genome], shape=(1, 1), evaluation=self.network.evaluation)
+        network.to(observations.device)
+        with torch.no_grad():
+            return network.step(observations[None, None])[0][0, 0].clamp(0, 1)
 
     @contextmanager
     def _on_device(self, network: PopulationNetwork) -> Iterator[None]:

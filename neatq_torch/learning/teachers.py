@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from neatq_torch.evolution import Population, Replacement, generator_from
+from neatq_torch.evolution import Replacement, RtNEAT, generator_from
 from neatq_torch.learning.critic_learner import CriticLearner, Teacher
 from neatq_torch.learning.learner import Saved
 
@@ -15,7 +15,8 @@ class Teachers:
     """The teacher of each network, inherited from its fitter parent, now and then drawn anew.
 
     An explorer's pupil passes on imitation: its offspring shall keep what it found, and the
-    explorer would lead them away again.
+    explorer would lead them away again. But offspring of a pioneer, whose life was not worth more
+    than those of others, learn from the explorer: they shall find more.
 
     What a newborn learns from is so chosen by the fitness of whole lives, as an evolved evaluation
     is (Ackley & Littman 1991): where a reward leads to the goal the critic's pupils have offspring,
@@ -33,13 +34,13 @@ class Teachers:
     Attributes:
         values: The `Teacher` of each network, int64 [arenas, slots]; founders had none, and count
             as the critic's.
-        models: Genome ids of whom the model's pupils imitate, -1 for nobody, int64 [arenas].
+        models: Slots of whom the model's pupils imitate, -1 for nobody, int64 [arenas].
     """
 
     def __init__(
         self,
         learner: CriticLearner,
-        populations: Sequence[Population],
+        populations: Sequence[RtNEAT],
         seeds: Sequence[int | Sequence[int]],
     ) -> None:
         self._learner, self._populations = learner, populations
@@ -58,15 +59,19 @@ class Teachers:
         """Give newborns their teachers; call it for all replacements, in their order."""
         values, ids, rng = self.values[arena], self._genome_id[arena], self.generators[arena]
         known = dict(zip(ids.tolist(), values.tolist(), strict=True))
+        pioneering = self._populations[arena].pioneering
         for slot, genome, _, (parent, *_) in replacements:
-            drawn = rng.random() < self.mutation
-            teacher = self.choices[rng.integers(len(self.choices))] if drawn else known[parent]
-            if not drawn and teacher == Teacher.EXPLORER:
+            teacher = known[parent]
+            if rng.random() < self.mutation:
+                teacher = self.choices[rng.integers(len(self.choices))]
+            elif genome.genome_id in pioneering and Teacher.EXPLORER in self.choices:
+                teacher = Teacher.EXPLORER
+            elif teacher == Teacher.EXPLORER:
                 teacher = Teacher.MODEL
             known[genome.genome_id] = values[slot] = int(teacher)
             ids[slot] = genome.genome_id
         champion = self._populations[arena].champion
-        self.models[arena] = -1 if champion is None else ids[champion]
+        self.models[arena] = -1 if champion is None else champion
 
     def express(self) -> None:
         """Let newborns be taught by whom their genes say."""

@@ -17,6 +17,7 @@ from neatq_torch.evolution import (
     RtNEATConfig,
     SpeciesConfig,
 )
+from neatq_torch.evolution.trials import BestStretches
 from neatq_torch.genome import InnovationLedger, initial_genome
 
 
@@ -257,6 +258,8 @@ def test_a_population_too_small_or_with_a_number_twice_is_refused() -> None:
         ({"minimum_life_ticks": 0}, "minimum_life_ticks: expected at least 1"),
         ({"minimum_life_episodes": 0}, "minimum_life_episodes: expected at least 1"),
         ({"ineligible_fraction": 0.0}, r"ineligible_fraction: expected \(0, 1\], got 0.0"),
+        ({"pioneer_share": 0.1}, "pioneer_share: expected None without a survival_share"),
+        ({"pioneer_share": 1.1, "survival_share": 0.2}, r"pioneer_share: expected \[0, 1\]"),
     ],
 )
 def test_a_config_out_of_range_is_refused(change: dict[str, Any], message: str) -> None:
@@ -267,7 +270,9 @@ def test_a_config_out_of_range_is_refused(change: dict[str, Any], message: str) 
 def test_of_survivors_all_breed_as_often_and_others_never() -> None:
     evolution = population(slots=10, survival_share=0.3)
     live(evolution, 10, [float(one) for one in range(10)])
-    drawn = [evolution._parents(evolution.score, evolution.eligible, 0)[0] for _ in range(3000)]
+    judged = evolution.score, evolution.eligible
+    fittest = evolution._breeders(*judged)
+    drawn = [evolution._parents(*judged, fittest)[0] for _ in range(3000)]
     firsts = np.bincount([one[0] for one in drawn], minlength=10) / len(drawn)
     assert firsts == pytest.approx([0.0] * 7 + [1 / 3] * 3, abs=0.03)
     assert {slot for one in drawn for slot in one} == {7, 8, 9}
@@ -278,7 +283,9 @@ def test_of_survivors_all_breed_as_often_and_others_never() -> None:
 def test_a_survivor_alone_in_its_species_breeds_alone_and_one_always_survives() -> None:
     evolution = population(slots=4, survival_share=0.01)
     live(evolution, 10, [1.0, 5.0, 3.0, 2.0])
-    drawn = {evolution._parents(evolution.score, evolution.eligible, 0)[0] for _ in range(50)}
+    judged = evolution.score, evolution.eligible
+    fittest = evolution._breeders(*judged)
+    drawn = {evolution._parents(*judged, fittest)[0] for _ in range(50)}
     assert drawn == {(1,)}
 
 
@@ -289,3 +296,100 @@ def test_who_makes_room_has_no_more_offspring(rewards: list[float]) -> None:
         live(evolution, 30, rewards)  # so long that more are due than can be judged
         for _, _, removed, parents in evolution.advance():
             assert removed not in parents
+
+
+PIONEERS: dict[str, Any] = {"minimum_life_ticks": 200, "survival_share": 0.2, "pioneer_share": 0.5}
+
+
+def with_a_pioneer(**config: Any) -> RtNEAT:
+    """Six robots, of which 0 is the worst and has the best hundred ticks; 5 is the fittest."""
+    evolution = population(**(PIONEERS | config))
+    live(evolution, 100, [-9.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    live(evolution, 100, [7.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    return evolution
+
+
+def test_best_stretches_are_those_of_the_last_trial_by_hand() -> None:
+    own, closing = BestStretches(2), np.zeros((2, 250), dtype=bool)
+    closing[1, 149] = True
+    rewards = np.zeros((2, 250))
+    rewards[0, 100:200], rewards[1, 40:60], rewards[1, 149:] = 3.0, 2.0, 1.0
+    own.record(rewards, np.zeros(2, np.int64), closing)
+    # In the second trial of slot 1 the hundredth tick is the last one recorded.
+    assert own.best.tolist() == [300.0, 100.0]
+    assert own.latest.tolist() == [-np.inf, 40.0]
+    assert own.earned.tolist() == [0.0, 0.0]
+    own.reset(0)
+    assert own.best.tolist() == [-np.inf, 100.0]
+
+
+@given(st.lists(st.integers(1, 130), min_size=1, max_size=5))
+@settings(deadline=None, max_examples=30)
+def test_stretches_do_not_depend_on_how_batches_are_cut(lengths: list[int]) -> None:
+    rewards = np.random.default_rng(1).normal(size=(6, sum(lengths), 1))
+    whole, parts = population(**PIONEERS), population(**PIONEERS)
+    whole.record(rewards)
+    for part in np.split(rewards, np.cumsum(lengths)[:-1], axis=1):
+        parts.record(part)
+    assert whole.stretches is not None and parts.stretches is not None
+    for name in BestStretches.kept:
+        np.testing.assert_array_equal(
+            getattr(whole.stretches, name), getattr(parts.stretches, name)
+        )
+
+
+def test_a_pioneer_stays_and_breeds_alone_though_it_is_the_worst() -> None:
+    evolution = with_a_pioneer()
+    assert evolution.pioneer == 0
+    pioneer, fittest = evolution.genomes[0].genome_id, evolution.genomes[5].genome_id
+    live(evolution, 80, [0.0] * 6)
+    born = evolution.advance()
+    assert len(born) == 1 and born[0].slot != 0
+    of_pioneer = 0
+    for _ in range(400):  # each time as if it were the first one
+        copy = RtNEAT.from_state(evolution.config, with_a_pioneer().state_dict())
+        copy.rng = evolution.rng
+        live(copy, 80, [0.0] * 6)
+        (one,) = copy.advance()
+        assert one.parents in ((pioneer,), (fittest,))
+        assert (one.genome.genome_id in copy.pioneering) == (one.parents == (pioneer,))
+        of_pioneer += one.parents == (pioneer,)
+    assert of_pioneer / 400 == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize(("most", "pioneer"), [(5.0, None), (6.9, None), (7.0, 0), (9.0, 0)])
+def test_a_pioneer_is_ahead_of_the_fittest_by_more_than_a_standard_deviation(
+    most: float, pioneer: int | None
+) -> None:
+    evolution = population(**PIONEERS)
+    live(evolution, 100, [-30.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    live(evolution, 100, [most, 1.0, 2.0, 3.0, 4.0, 5.0])
+    # 6.9 and 7.0 are 1.9 and 2 ahead of 5, where deviations are 1.94 and 1.97.
+    assert evolution.pioneer == pioneer
+
+
+def test_who_is_the_fittest_is_no_pioneer() -> None:
+    evolution = population(**PIONEERS)
+    live(evolution, 280, [1.0, 2.0, 3.0, 4.0, 5.0, 60.0])
+    assert evolution.pioneer is None
+    assert [one.parents[0] for one in evolution.advance()] == [6]
+    assert not evolution.pioneering
+
+
+def test_there_is_no_pioneer_before_somebody_was_judged_or_where_trials_are_shorter() -> None:
+    assert population(**PIONEERS).pioneer is None
+    assert with_a_pioneer(minimum_life_ticks=50).pioneer is None
+    assert with_a_pioneer(pioneer_share=None).pioneer is None
+
+
+def test_pioneers_go_on_exactly() -> None:
+    one = with_a_pioneer()
+    other = RtNEAT.from_state(one.config, one.state_dict())
+    born = []
+    for evolution in (one, other):
+        rng = np.random.default_rng(4)
+        for _ in range(60):
+            evolution.record(rng.normal(size=(6, 40, 1)))
+            evolution.advance()
+        born.append([genome.to_dict() for genome in evolution.genomes])
+    assert born[0] == born[1]

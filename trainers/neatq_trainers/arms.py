@@ -139,7 +139,7 @@ ARMS: dict[str, Arm] = {
     ),
     "neatq": Arm(
         summary=_TAUGHT.summary,
-        population=RtNEATConfig(survival_share=0.2),
+        population=RtNEATConfig(survival_share=0.2, pioneer_share=0.15),
         learner=CriticConfig(
             updates_per_step=0.01,
             newborn_updates=500,
@@ -158,6 +158,7 @@ ARMS: dict[str, Arm] = {
             "learner.discount": 0.99,
             "learner.noise": 0.1,
             "population.survival_share": None,
+            "population.pioneer_share": None,
             **_EPISODES,
         },
         on_gymnasium=_TAUGHT,

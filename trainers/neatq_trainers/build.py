@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from neatq_envs.random_play import LARGEST, EnvFacts
-from neatq_torch.evolution import Population, population_kinds
+from neatq_torch.evolution import Population, RtNEAT, population_kinds
 from neatq_torch.kinds import ConfigError
 from neatq_torch.learning import (
     ActionNoise,
@@ -233,4 +233,5 @@ def _teachers(
     if getattr(config.learner, "teacher_mutation", None) is None:
         return None
     assert isinstance(learner, CriticLearner)
-    return Teachers(learner, populations, [(seed, TEACHERS_STREAM) for seed in config.seeds])
+    lasting = [one for one in populations if isinstance(one, RtNEAT)]
+    return Teachers(learner, lasting, [(seed, TEACHERS_STREAM) for seed in config.seeds])
