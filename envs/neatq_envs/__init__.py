@@ -38,7 +38,7 @@ _TASKS: dict[str, tuple[str, int | None, dict[str, Any]]] = {
 # Scenario "moving" is one draw of these flags, of which an episode would see but the first.
 _ANYWHERE = {"name": "moving", "flag": {"ring": [100, 250]}}
 _SCENARIOS = {"Flag": "flag", "Moving": _ANYWHERE, "Wall": "wall", "Trap": "trap"}
-_SCENARIOS |= {"Maze": "maze", "Switch": "switch"}
+_SCENARIOS |= {"Maze": "maze", "Switch": "switch", "Behind": "behind"}
 for _name, _own in _SCENARIOS.items():
     _TASKS[f"neatq/{_name}-v0"] = "robot:Robot", None, {"scenario": _own, "reward": "progress"}
 

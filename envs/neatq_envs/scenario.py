@@ -25,6 +25,8 @@ The geometry of the tasks "flag", "moving" and "wall" is that of the OpenNERO so
   which. A robot that never changes its mind is 100 units away on average, wherever between the
   two it waits. 610 ticks fit evenly into neither lives of 1000 nor rows of metrics, so that lives
   begin, and rows fall, at all moments between two switches.
+* "behind": the flags of "switch" behind a wall. Who runs straight to the one that counts waits
+  below it, at 161 over a life; who gets around the wall and never changes its mind has 136.
 
 docs/worlds.md tells what standing still, the straight way and a perfect robot come to on each. The
 shortest ways are 141, 288, 413 and 450 units long ("flag", "wall", "trap", "maze").
@@ -324,5 +326,10 @@ TASKS: dict[str, Scenario] = {
     "switch": Scenario(
         name="switch",
         flag=FlagSchedule(positions=((300.0, 166.67), (500.0, 166.67)), switch_ticks=610),
+    ),
+    "behind": Scenario(
+        name="behind",
+        flag=FlagSchedule(positions=((300.0, 533.33), (500.0, 533.33)), switch_ticks=610),
+        walls=(Wall(x=400.0, y=400.0, width=300.0, height=4.0),),
     ),
 }

@@ -98,7 +98,8 @@ def test_a_scenario_is_a_name_a_file_its_content_or_an_object(tmp_path: Path) ->
     assert [RobotEnv(source).scenario for source in sources] == [wanted] * 4
     assert RobotEnv("wall").scenario == TASKS["wall"].replaced(robots=1)
     with pytest.raises(
-        ScenarioError, match=r"expected flag, moving, wall, trap, maze, switch or the path .* 'wal'"
+        ScenarioError,
+        match=r"expected flag, moving, wall, trap, maze, switch, behind or the path .* 'wal'",
     ):
         RobotEnv("wal")
     with pytest.raises(ScenarioError, match="only reward weight"):

@@ -226,7 +226,7 @@ def test_wrong_assignments_are_named(text: str, words: list[str], tmp_path: Path
 
 @pytest.mark.parametrize("source", ["flog", Path("flog")])
 def test_an_unknown_task_is_answered_with_the_known_ones(source: Path | str) -> None:
-    with pytest.raises(ScenarioError, match=r"expected flag, .*, switch or the path .* 'flog'"):
+    with pytest.raises(ScenarioError, match=r"expected flag, .*, behind or the path .* 'flog'"):
         find_scenario(source)
 
 

@@ -167,18 +167,19 @@ def test_a_switch_is_no_progress(to_flag: Drive) -> None:
 # --------------------------------------------------------------------- what can be reached
 
 
-def walk(goal_of: Callable[[int], np.ndarray], phase: int, ticks: int = 1000) -> float:
-    """Return the mean distance to the flag that counts of a robot that goes to a goal.
+def walk(goal_of: Callable[..., np.ndarray], phase: int, task: str = "switch") -> float:
+    """Return the mean distance to the flag that counts, in a life, of a robot that goes to a goal.
 
     Args:
-        goal_of: where to, given the number of the flag that counts.
+        goal_of: where to, given the number of the flag that counts (and where the robot is).
         phase: ticks since the last switch when the life begins.
-        ticks: of the life.
+        task: whose flags they are.
     """
-    flags, place, total = np.array([LEFT, RIGHT]), np.array([400.0, 266.67]), 0.0
+    flags, place, total = np.array(TASKS[task].flag.positions), np.array([400.0, 266.67]), 0.0
+    ticks, behind = 1000, task == "behind"
     for tick in range(ticks):
         counts = (phase + tick) // 610 % 2
-        way = goal_of(counts) - place
+        way = (goal_of(counts, place) if behind else goal_of(counts)) - place
         place = place + way * min(1.0, 1.0 / max(float(np.hypot(*way)), 1e-9))
         total += float(np.hypot(*(flags[counts] - place)))
     return total / ticks
@@ -192,6 +193,26 @@ def test_only_who_follows_the_switches_gets_below_a_hundred() -> None:
     middle = np.mean([walk(lambda _: flags.mean(0), phase) for phase in phases])
     perfect = np.mean([walk(lambda counts: flags[counts], phase) for phase in phases])
     assert (still_mean, first, middle, perfect) == pytest.approx((141.4, 102, 101.5, 38), abs=0.5)
+
+
+def test_behind_the_wall_only_who_follows_the_switches_gets_below_136() -> None:
+    flags, phases = np.array(TASKS["behind"].flag.positions), range(0, 1220, 61)
+    (wall,) = TASKS["behind"].walls
+    above, corner = wall.y + 5, wall.width / 2 + 5
+
+    def round_it(counts: int, place: np.ndarray, then: int | None = None) -> np.ndarray:
+        aim = flags[counts if then is None else then]
+        ends = [np.array([wall.x + side, above]) for side in (-corner, corner)]
+        near = min(ends, key=lambda end: np.hypot(*(end - place)) + np.hypot(*(end - aim)))
+        return aim if place[1] >= above else near
+
+    below = [walk(lambda one, _: np.array([flags[one][0], 395.0]), p, "behind") for p in phases]
+    first = [walk(lambda one, place: round_it(one, place, 0), p, "behind") for p in phases]
+    perfect = [walk(round_it, phase, "behind") for phase in phases]
+    means = np.mean(below), np.mean(first), np.mean(perfect)
+    assert means == pytest.approx((161, 136, 86), abs=0.5)
+    start = TASKS["behind"].spawns[0]
+    assert np.hypot(*(flags[0] - [start.x, start.y])) == pytest.approx(285, abs=0.5)
 
 
 def test_lives_and_rows_of_metrics_fall_on_all_moments_between_switches() -> None:

@@ -55,7 +55,7 @@ CART_POLE = ["--task", "gym:CartPole-v1"]
     [
         (
             ["train", "--task", "nope"],
-            "task: expected flag, moving, wall, trap, maze, switch,.* got 'nope' .*worlds.md",
+            "task: expected flag, moving, wall, .*switch, behind,.* got 'nope' .*worlds.md",
         ),
         (["train", "--arm", "nope"], "arm: expected one of rtneat, .* got 'nope' .*arms.md"),
         (

@@ -45,6 +45,7 @@ TASK_LINES = {
     "trap": "robots must first get out of a pocket",
     "maze": "the hard maze of Lehman & Stanley (2011)",
     "switch": "two flags, of which one counts, and not always the same",
+    "behind": "the same two flags behind a wall",
     "FILE.json": "an arena of your own",
     "gym:ID": "any Gymnasium environment, such as gym:CartPole-v1 or gym:my_module:Mine-v0",
 }

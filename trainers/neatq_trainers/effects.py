@@ -94,6 +94,8 @@ def _of_population(config: RunConfig) -> dict[str, str]:
     if isinstance(own, RtNEATConfig) and own.survival_share is not None:
         words = "population.survival_share is set, and mates are of one species"
         useless["population.reproduction.interspecies_mate_prob"] = words
+    elif isinstance(own, RtNEATConfig):
+        useless["population.pioneer_share"] = "population.survival_share is not set"
     if getattr(own, "start", None) == "minimal":
         useless["population.start_hidden"] = 'founders of population.start "minimal" have none'
     return useless | _of_species(own) | _of_reproduction(getattr(own, "reproduction", None))
