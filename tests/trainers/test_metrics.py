@@ -10,6 +10,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from tensordict import TensorDict
 
 from neatq_torch.genome import Genome, layered_genome
@@ -63,7 +65,7 @@ def batch_of(distance: Any) -> TensorDict:
 
 
 def test_a_row_by_hand() -> None:
-    # Ticks 99, 100, 101: the row is that of tick 100, the second column.
+    # Ticks 99, 100, 101: the row ends with tick 100, the second column.
     batch = batch_of([[[9, 10, 9], [9, 20, 9], [9, 60, 9]]])
     run = run_of(101, population([False, True, True], champion=1))
     (row,) = rows(run, batch, torch.tensor([[1.0, 2.0, 3.0]]))
@@ -71,11 +73,11 @@ def test_a_row_by_hand() -> None:
         arena=0,
         tick=100,
         min_distance=10.0,
-        mean_distance=30.0,
+        mean_distance=19.5,
         max_distance=60.0,
-        eligible_mean_distance=40.0,
-        newborn_mean_distance=10.0,
-        champion_distance=20.0,
+        eligible_mean_distance=24.5,
+        newborn_mean_distance=9.5,
+        champion_distance=14.5,
         births=6,
         species=2,
         mean_nodes=6.0,
@@ -83,7 +85,7 @@ def test_a_row_by_hand() -> None:
         td_loss=1.0,  # half of the mean error
         epsilon=0.25,
     )
-    assert csv_line(row) == "0,100,10,30,60,40,10,20,6,2,6,1,1,0.25\n"
+    assert csv_line(row) == "0,100,10,19.5,60,24.5,9.5,14.5,6,2,6,1,1,0.25\n"
 
 
 def test_without_anybody_eligible_and_without_learning_cells_are_empty() -> None:
@@ -115,7 +117,37 @@ def test_every_hundredth_tick_belongs_to_one_batch(
     batch = batch_of([[[float(tick - ticks + 1 + t) for t in range(ticks)]]])
     found = list(rows(run_of(tick), batch, torch.zeros(1, 1)))
     assert [row.tick for row in found] == wanted
-    assert [row.mean_distance for row in found] == wanted, "the distance of that very tick"
+    assert [row.min_distance for row in found] == wanted, "the distance of that very tick"
+    first = max(tick - ticks, 0)
+    means = [
+        np.mean([float(t) for t in range(max(first, end - 100) + 1, end + 1)]) for end in wanted
+    ]
+    assert [row.mean_distance for row in found] == pytest.approx(means)
+
+
+@given(st.lists(st.integers(1, 130), min_size=1, max_size=6), st.integers(0, 5))
+@settings(deadline=None, max_examples=30)
+def test_rows_do_not_depend_on_how_batches_are_cut(lengths: list[int], restored: int) -> None:
+    total = sum(lengths)
+    distance = np.random.default_rng(0).uniform(0, 300, (2, 3, total)).round(2)
+    people = population([False, True, True], 1), population([True, True, False], 0)
+    whole = rows(run_of(total, *people), batch_of(distance), torch.zeros(2, 3))
+    own, parts, tick = DistanceMetrics(2), [], 0
+    for number, length in enumerate(lengths):
+        if number == restored:
+            state, own = own.state_dict(), DistanceMetrics(2)
+            own.load_state_dict(state)
+        part = batch_of(distance[..., tick : tick + length])
+        tick += length
+        parts += own.add(run_of(tick, *people), part, torch.zeros(2, 3))
+    assert [csv_line(row) for row in parts] == [csv_line(row) for row in whole]
+
+
+def test_lives_that_begin_together_are_not_seen_at_one_age_alone() -> None:
+    ages = np.arange(1000) % 1000
+    away = np.maximum(141.0 - ages, 0)  # whoever runs 141 units to the flag is 10 away on average
+    found = rows(run_of(1000), batch_of([[away.tolist()]]), torch.zeros(1, 1))
+    assert np.mean([row.mean_distance for row in found]) == pytest.approx(10, abs=0.1)
 
 
 def test_each_arena_has_its_own_rows_tick_by_tick() -> None:

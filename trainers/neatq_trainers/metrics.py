@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +26,9 @@ ROW_TICKS = 100
 class DistanceRow(NamedTuple):
     """A row for every 100 ticks in the arena; distances are to the flag, in units.
 
-    None is an empty cell.
+    The least and the greatest distance are those of the last of these ticks, the others means over
+    all of them: lives may all begin at a multiple of 100 ticks, and then a single one of these is
+    at the same age in every life. None is an empty cell.
     """
 
     arena: int
@@ -106,6 +109,9 @@ class DistanceMetrics:
 
     def __init__(self, arenas: int) -> None:
         self.champions: list[Champion | None] = [None] * arenas
+        # Of the ticks since the last row: distances summed up, and of how many, [arenas, 4] for all
+        # robots, those who are judged, newborns and the champion.
+        self._sums, self._counts = np.zeros((2, arenas, 4))
 
     def add(self, run: Run, batch: TensorDictBase, error: Tensor) -> list[Row]:
         """See `Metrics`. Half of the error is the row's `td_loss`."""
@@ -114,21 +120,37 @@ class DistanceMetrics:
         return list(self._rows(run, batch, 0.5 * error.mean(-1).numpy()))
 
     def _rows(self, run: Run, batch: TensorDictBase, loss: np.ndarray) -> Iterator[DistanceRow]:
-        distance = batch.get(("next", "distance")).squeeze(-1).numpy()
-        first = run.tick - distance.shape[-1]
-        for tick in range((first // ROW_TICKS + 1) * ROW_TICKS, run.tick + 1, ROW_TICKS):
-            for arena, now in enumerate(distance[:, :, tick - first - 1]):
-                population = run.populations[arena] if run.populations else None
+        distance = batch.get(("next", "distance")).squeeze(-1).double().numpy()
+        arenas, slots, ticks = distance.shape
+        some = run.populations or [None] * arenas
+        groups = np.stack([_groups(population, slots) for population in some])
+        first = run.tick - ticks
+        ends = range(ROW_TICKS - first % ROW_TICKS, ticks + 1, ROW_TICKS)
+        for start, end in pairwise(sorted({0, *ends, ticks})):
+            now = distance[..., end - 1]
+            self._sums += (groups * distance[:, None, :, start:end].sum(-1)).sum(-1)
+            self._counts += groups.sum(-1) * (end - start)
+            if end not in ends:
+                break
+            for arena, population in enumerate(some):
                 yield DistanceRow(
                     arena=arena,
-                    tick=tick,
-                    min_distance=float(now.min()),
-                    mean_distance=float(now.mean()),
-                    max_distance=float(now.max()),
-                    **_judged(population, now),
+                    tick=first + end,
+                    min_distance=float(now[arena].min()),
+                    max_distance=float(now[arena].max()),
+                    **self._means(arena),
+                    **_of_genomes(population),
                     td_loss=None if np.isnan(loss[arena]) else float(loss[arena]),
                     epsilon=getattr(run.config.learner, "epsilon", 0.0),
                 )
+            self._sums[:], self._counts[:] = 0, 0
+
+    def _means(self, arena: int) -> dict[str, Any]:
+        """The mean distances of a row."""
+        names = "mean_distance", "eligible_mean_distance", "newborn_mean_distance"
+        pairs = zip(self._sums[arena].tolist(), self._counts[arena].tolist(), strict=True)
+        means = [total / count if count else None for total, count in pairs]
+        return dict(zip((*names, "champion_distance"), means, strict=True))
 
     def _remember(self, run: Run) -> None:
         """Between generations nobody is the fittest: keep the champion of the one before."""
@@ -143,28 +165,33 @@ class DistanceMetrics:
         return run.tick * run.shape[1]
 
     def state_dict(self) -> State:
-        """The champions."""
-        return {"champions": _saved(self.champions)}
+        """The champions, and what belongs to the next row."""
+        sums = {"sums": self._sums.copy(), "counts": self._counts.copy()}
+        return {"champions": _saved(self.champions)} | sums
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from `state_dict`."""
+        """Go on from `state_dict`; one of an earlier version has no sums."""
         self.champions = _loaded(state["champions"])
+        if "sums" in state:
+            self._sums, self._counts = np.array(state["sums"]), np.array(state["counts"])
 
 
-def _judged(population: Population | None, now: np.ndarray) -> dict[str, Any]:
-    """What evolution adds to a row; `now` are the distances [slots]."""
+def _groups(population: Population | None, slots: int) -> np.ndarray:
+    """Who counts for the means of a row, bool [4, slots]."""
+    groups = np.zeros((4, slots), dtype=bool)
+    groups[0] = True
+    if population is not None:
+        groups[1], groups[2] = population.eligible, ~population.eligible
+        if population.champion is not None:
+            groups[3, population.champion] = True
+    return groups
+
+
+def _of_genomes(population: Population | None) -> dict[str, Any]:
+    """What evolution adds to a row."""
     if population is None:
-        nothing = ("eligible_mean_distance", "newborn_mean_distance", "champion_distance")
-        empty = (*nothing, "mean_nodes", "mean_links")
-        return {"births": 0, "species": 0, **dict.fromkeys(empty)}
-    eligible, champion = population.eligible, population.champion
-    return {
-        "eligible_mean_distance": _mean_or_none(now[eligible]),
-        "newborn_mean_distance": _mean_or_none(now[~eligible]),
-        "champion_distance": None if champion is None else float(now[champion]),
-        "births": population.births,
-        **_sizes(population),
-    }
+        return {"births": 0, "species": 0, "mean_nodes": None, "mean_links": None}
+    return {"births": population.births, **_sizes(population)}
 
 
 def _sizes(population: Population) -> dict[str, Any]:
@@ -174,10 +201,6 @@ def _sizes(population: Population) -> dict[str, Any]:
         "mean_nodes": float(np.mean([genome.node_id.size for genome in genomes])),
         "mean_links": float(np.mean([genome.link_enabled.sum() for genome in genomes])),
     }
-
-
-def _mean_or_none(values: np.ndarray) -> float | None:
-    return float(values.mean()) if values.size else None
 
 
 class ReturnMetrics:

@@ -71,11 +71,9 @@ def train_team(config: AnchorConfig, seed: int, make: MakeTrainer) -> Columns:
     number = -(-config.length[1] // own["batch_steps"])
     trainer = make(own, len(env.arena.schema.observations), bounds, number)
     explorer = ExplorerReward(own["novelty"]) if "novelty" in own else None
-    tick, distances = 0, list[Tensor]()  # [robots] of every hundredth tick
+    distances = list[Tensor]()  # of each tick [robots]
     for batch in batches_of(env, trainer.actor, own["batch_steps"], number):
-        first = -(tick + 1) % ROW_TICKS
-        distances += batch["next", "distance"][0, :, first::ROW_TICKS, 0].unbind(1)
-        tick += batch.shape[-1]
+        distances += batch["next", "distance"][0, ..., 0].unbind(1)
         robots = torch.arange(batch.shape[1]).view(1, -1, 1, 1)
         batch["genome_id"] = robots.expand(*batch.shape, 1)  # of whom a life's ticks are
         if explorer is not None:
@@ -85,14 +83,16 @@ def train_team(config: AnchorConfig, seed: int, make: MakeTrainer) -> Columns:
 
 
 def _columns(distance: np.ndarray) -> Columns:
-    """Rows of metrics of distances [rows, robots]; nobody is born."""
-    unknown = np.full(len(distance), np.nan)
+    """Rows of metrics of distances [ticks, robots], as `DistanceRow` has them; nobody is born."""
+    number = len(distance) // ROW_TICKS
+    unknown = np.full(number, np.nan)
     names = "eligible_mean_distance", "newborn_mean_distance", "champion_distance"
+    rows = distance[: number * ROW_TICKS].reshape(number, ROW_TICKS, -1)
     return {
-        "arena": np.zeros(len(distance)),
-        "tick": ROW_TICKS * np.arange(1.0, len(distance) + 1),
-        "min_distance": distance.min(1),
-        "mean_distance": distance.mean(1),
-        "births": np.zeros(len(distance)),
+        "arena": np.zeros(number),
+        "tick": ROW_TICKS * np.arange(1.0, number + 1),
+        "min_distance": rows[:, -1].min(1),
+        "mean_distance": rows.mean((1, 2)),
+        "births": np.zeros(number),
         **dict.fromkeys(names, unknown),
     }
