@@ -10,7 +10,16 @@ from pathlib import Path
 import tyro
 
 from neatq_envs.processes import usable_cores
-from neatq_experiments import arena, double_pole, gymnasium_tasks, neat_q, published, variants, xor
+from neatq_experiments import (
+    arena,
+    double_pole,
+    foraging,
+    gymnasium_tasks,
+    neat_q,
+    published,
+    variants,
+    xor,
+)
 from neatq_experiments.compare.command import CompareCommand, run_comparison
 from neatq_experiments.experiment import Experiment, run_again
 from neatq_torch.kinds import ConfigError
@@ -21,6 +30,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     xor.XOR,
     *double_pole.DOUBLE_POLE,
     *neat_q.NEAT_Q,
+    *foraging.FORAGING,
     gymnasium_tasks.GYMNASIUM,
 )
 

@@ -139,7 +139,7 @@ ARMS: dict[str, Arm] = {
     ),
     "neatq": Arm(
         summary=_TAUGHT.summary,
-        population=RtNEATConfig(survival_share=0.2, pioneer_share=0.15),
+        population=RtNEATConfig(ineligible_fraction=0.25, survival_share=0.2, pioneer_share=0.35),
         learner=CriticConfig(
             updates_per_step=0.01,
             newborn_updates=500,
@@ -157,6 +157,7 @@ ARMS: dict[str, Arm] = {
             "learner.horizon": 3,
             "learner.discount": 0.99,
             "learner.noise": 0.1,
+            "population.ineligible_fraction": 0.5,
             "population.survival_share": None,
             "population.pioneer_share": None,
             **_EPISODES,
