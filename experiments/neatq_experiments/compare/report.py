@@ -29,8 +29,8 @@ flag; looked at every 100 ticks.
 {CONTACT:g} units at nine of ten looks or more, for at least ten looks.
 - Both are medians over seeds; a seed that never gets there counts as later than all others. In \
 parentheses: in how many seeds it happens.
-- **champion arrives**: seeds in which the champion is within {CONTACT:g} units in at least a \
-tenth of the looks of the last tenth; a life is ten looks long.
+- **champion arrives**: seeds in which the champion is within {CONTACT:g} units, on average over \
+100 ticks, in at least a tenth of the last tenth; a life is 1,000 ticks long.
 - **births**: over the whole run, mean over seeds. **CPU s**: seconds of one core for 1,000 ticks \
 of one arena, which shares its process with the arenas of other seeds.
 - **difference**: mean over pairs of equal seeds, which have equal worlds. **probability of \
