@@ -33,6 +33,8 @@ HALVES = {
 LINE_TICKS = 2 * POINT_TICKS
 """Ticks in one point of a line: one life. Lives begin together, and in half a life a team is far
 from the flag by habit, so points of half a life would go up and down."""
+MOST_COLUMNS = 4
+"""Panels beside each other in the overview."""
 X_LABEL = f"figure tick ({ROW_TICKS} simulation ticks)"
 
 
@@ -61,16 +63,20 @@ def draw_task(study: Study, task: str, behind: Behind | None = None) -> Figure:
 
 
 def draw_overview(study: Study, behind: Behind | None = None) -> Figure:
-    """All tasks side by side, a panel as `draw_task` draws it for each."""
-    figure = Figure(figsize=(1.8 + 3.6 * len(study.tasks), 3.8), layout="constrained")
-    row = figure.subplots(1, len(study.tasks), squeeze=False)[0]
+    """All tasks, up to four side by side, a panel as `draw_task` draws it for each."""
+    rows = -(-len(study.tasks) // MOST_COLUMNS)
+    columns = -(-len(study.tasks) // rows)
+    figure = Figure(figsize=(1.8 + 3.6 * columns, 3.8 * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False)
     handles: dict[str, Artist] = {}
-    for axes, task in zip(row, study.tasks, strict=True):
+    for axes in grid.flat[len(study.tasks) :]:
+        axes.set_axis_off()
+    for axes, task in zip(grid.flat, study.tasks, strict=False):
         _draw_mean_distance(axes, study, task, behind)
         plain_title(axes, task)
         lines, labels = axes.get_legend_handles_labels()
         handles |= dict(zip(labels, lines, strict=True))
-    for axes in row[1:]:
+    for axes in grid[:, 1:].flat:
         axes.set_ylabel("")
     legend_beside(figure, list(handles.values()), list(handles))
     return figure
