@@ -16,6 +16,8 @@ import pytest
 
 import neatq_torch as nq
 
+AVERAGED = ["mean_distance", "eligible_mean_distance", "newborn_mean_distance", "champion_distance"]
+"""Of a row these were the distances at its last tick, and are means over its ticks."""
 RELEASES = Path(__file__).parents[1] / "data"
 LATER: dict[str, dict[str, Any]] = {"arena": {"ticks": 320}, "gymnasium": {"generations": 2}}
 FOLDERS = sorted(path for path in RELEASES.glob("release-*/*") if path.is_dir())
@@ -57,6 +59,8 @@ def test_a_released_run_goes_on_as_it_would_have_then(released: Path) -> None:
     metrics = run.metrics()
     for name, column in metrics.items():
         expected = [float(row[name] or "nan") for row in wanted]
+        if name in AVERAGED:  # since then: the row that was not there yet
+            expected, column = expected[:-1], column[:-1]
         # Bits may depend on the processor; more than they may not.
         assert column.tolist() == pytest.approx(expected, rel=1e-3, nan_ok=True), name
     assert len(wanted) == (3 if released.name == "arena" else 2)

@@ -108,6 +108,9 @@ def _restore(run: Run, state: State) -> None:
     # A user's own parts know best what they have saved.
     own = {name for name, part in parts.items() if type(part).__module__.startswith("neatq_")}
     own |= set() if isinstance(run.config.world, EnvConfig) else {"world"}
+    if isinstance(run.metrics, DistanceMetrics) and set(state["metrics"]) == {"champions"}:
+        # Of 0.2.0, where a row was a single tick: the next one begins here.
+        state = {**state, "metrics": run.metrics.state_dict() | state["metrics"]}
     for name, fresh in run.state_dict().items():
         if name in own:
             columns = name in ("policy", "learner")

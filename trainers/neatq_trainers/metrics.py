@@ -170,10 +170,9 @@ class DistanceMetrics:
         return {"champions": _saved(self.champions)} | sums
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from `state_dict`; one of an earlier version has no sums."""
+        """Go on from `state_dict`."""
         self.champions = _loaded(state["champions"])
-        if "sums" in state:
-            self._sums, self._counts = np.array(state["sums"]), np.array(state["counts"])
+        self._sums, self._counts = np.array(state["sums"]), np.array(state["counts"])
 
 
 def _groups(population: Population | None, slots: int) -> np.ndarray:
