@@ -231,13 +231,13 @@ class RtNEAT(Population):
         removed = self.genomes[slot].genome_id
         self.speciation.remove(slot)
         share = self.config.pioneer_share or 0
-        pioneering = pioneer not in (None, slot) and self.rng.random() < share
-        if pioneer is not None and pioneering:
-            slots, interspecies = (pioneer,), False
-        else:
+        mother = None if pioneer in (None, slot) or self.rng.random() >= share else pioneer
+        if mother is None:
             slots, interspecies = self._parents(score, eligible, breeders[breeders != slot])
+        else:
+            slots, interspecies = (mother,), False
         genome, parents = self.breed(slots, score, interspecies=interspecies)
-        if pioneering:
+        if mother is not None:
             self.pioneering.add(genome.genome_id)
         self.genomes[slot] = genome
         self.trials.reset(slot)
