@@ -268,10 +268,12 @@ class RtNEAT(Population):
         self, score: NDArray[np.float64], eligible: NDArray[np.bool_]
     ) -> NDArray[np.intp]:
         """Slots of the share that breeds, the fittest first; none where all may."""
+        share = self.config.survival_share
+        if share is None:
+            return np.empty(0, np.intp)
         judged = np.flatnonzero(eligible)
         best_first = judged[np.argsort(-score[judged], kind="stable")]
-        share = self.config.survival_share
-        return best_first[: 0 if share is None else max(1, floor(share * judged.size))]
+        return best_first[: max(1, floor(share * judged.size))]
 
     def _parents(
         self,
