@@ -31,10 +31,11 @@ _LIMITS: dict[str, tuple[float, float, str]] = {
     "lifetime_ticks": _TICKS,
     "interval_ticks": _TICKS,
     "switch_ticks": _TICKS,
+    "hit_points": (1, 100_000, "hits"),
     "reward_weights": (-_FAR, _FAR, "rewards are numbers of float32"),
 }
 """Least and greatest value of each number of a scenario, and why or in which unit."""
-_MOST = {"walls": 1000, "spawns": 1000, "positions": 10_000}
+_MOST = {"walls": 1000, "spawns": 1000, "positions": 10_000, "turrets": 1000}
 """Entries of each list: each wall is looked for by each ray of each robot."""
 _LONGEST_NAME = 200
 

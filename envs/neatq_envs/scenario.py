@@ -36,7 +36,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -264,20 +265,35 @@ def find_scenario(
         return plain.replaced(**(usual | _read_scenario(source) | wanted))
     if source in TASKS:
         return TASKS[str(source)].replaced(**(usual | wanted))
-    path, names = Path(source), ", ".join(TASKS)
-    try:
-        words = f"expected {names} or the path of a scenario file (.json); got {shown(str(source))}"
-        require(bool(path.suffix) or path.exists(), f"task: {words}")
-        size = path.stat().st_size
-        require(size <= _FILE_BYTES, f"has {size:,} bytes; expected at most {_FILE_BYTES:,}")
-        values = _read_scenario(from_json(path.read_text(encoding="utf-8")))
+    with naming_file(source):
+        values = _read_scenario(file_values(Path(source), TASKS))
         return plain.replaced(**(usual | values | wanted))
+
+
+@contextmanager
+def naming_file(source: object) -> Iterator[None]:
+    """Let whatever is wrong with a scenario file be told with its name.
+
+    Raises:
+        ScenarioError: In place of what came.
+    """
+    try:
+        yield
     except OSError as error:
         raise ScenarioError(f"{source}: cannot be read: {error.strerror}") from error
     except ScenarioError as error:
         raise ScenarioError(f"{source}: {error}") from error
     except ValueError as error:  # no JSON, no UTF-8, or no name of a file
         raise ScenarioError(f"{source}: is not JSON: {error}") from error
+
+
+def file_values(path: Path, known: Iterable[str]) -> Any:
+    """The JSON value in a file; what is none may have been meant for a known name."""
+    words = f"expected {', '.join(known)} or the path of a scenario file (.json); got"
+    require(bool(path.suffix) or path.exists(), f"task: {words} {shown(str(path))}")
+    size = path.stat().st_size
+    require(size <= _FILE_BYTES, f"has {size:,} bytes; expected at most {_FILE_BYTES:,}")
+    return from_json(path.read_text(encoding="utf-8"))
 
 
 def _read_scenario(values: Any) -> dict[str, Any]:

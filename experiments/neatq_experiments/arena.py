@@ -20,7 +20,7 @@ from neatq_experiments.published import PAPER_NAMES, published_curves
 from neatq_experiments.seeds import Result, Results, SeedTask, run_seeds
 from neatq_trainers.arms import TASK_TICKS, preset
 from neatq_trainers.folder import load_run
-from neatq_trainers.metrics import ROW_TICKS
+from neatq_trainers.rows import ROW_TICKS
 
 
 class Specification(NamedTuple):

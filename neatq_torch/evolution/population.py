@@ -125,8 +125,7 @@ class Population(Kept, ABC):
             wanted = f"one beyond the founders' highest id {highest}"
             raise ValueError(f"first_genome_id: expected {wanted}, got {first_genome_id}.")
         self.config = config
-        weights = tuple(reward_weights)
-        self.reward_weights = checked("reward_weights", weights, dimensions=max(1, len(weights)))
+        self.weigh(reward_weights)
         self.genomes = list(genomes)
         self.births = 0
         self.rng = rng
@@ -257,6 +256,11 @@ class Population(Kept, ABC):
     @abstractmethod
     def advance(self) -> list[Replacement]:
         """Replace what is due, and tell what happened."""
+
+    def weigh(self, reward_weights: Sequence[float]) -> None:
+        """Let rewards count so much in the fitness from now on, also those that were earned."""
+        weights = tuple(reward_weights)
+        self.reward_weights = checked("reward_weights", weights, dimensions=max(1, len(weights)))
 
     def write_back(self, slot: int, weights: ArrayLike) -> None:
         """Give the genome of a slot the weights, float32 [links], that it learned in its life."""

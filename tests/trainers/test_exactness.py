@@ -20,7 +20,7 @@ from neatq_trainers.callbacks import Callback
 from neatq_trainers.cli import main
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import CHAMPION, CHECKPOINT, CONFIG, METRICS, RESULT, SCALING, load_run
-from neatq_trainers.metrics import Row
+from neatq_trainers.rows import Row
 from neatq_trainers.train import Session, resume, start
 from neatq_trainers.worlds import facts_of
 

@@ -18,15 +18,8 @@ from neatq_torch.genome import Genome, layered_genome
 from neatq_trainers.build import build
 from neatq_trainers.callbacks import Callback
 from neatq_trainers.config import RunConfig
-from neatq_trainers.metrics import (
-    DistanceMetrics,
-    DistanceRow,
-    ReturnMetrics,
-    ReturnRow,
-    csv_line,
-    header,
-    row_kind,
-)
+from neatq_trainers.metrics import DistanceMetrics, ReturnMetrics
+from neatq_trainers.rows import DistanceRow, ReturnRow, csv_line, header, row_kind
 from neatq_trainers.run import Run
 from neatq_trainers.train import start
 from neatq_trainers.worlds import facts_of

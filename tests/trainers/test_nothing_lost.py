@@ -40,7 +40,7 @@ from neatq_trainers.folder import (
     RunFolderError,
     load_run,
 )
-from neatq_trainers.metrics import Row
+from neatq_trainers.rows import Row
 from neatq_trainers.signals import Terminated, handling
 from neatq_trainers.train import Session, resume, start
 

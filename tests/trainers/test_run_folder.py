@@ -35,8 +35,8 @@ from neatq_trainers.folder import (
     RunFolderError,
     load_run,
 )
-from neatq_trainers.metrics import DistanceRow, Row
 from neatq_trainers.report import write_report
+from neatq_trainers.rows import DistanceRow, Row
 from neatq_trainers.train import Session, resume, start
 
 pytestmark = pytest.mark.usefixtures("without_pictures")

@@ -21,7 +21,7 @@ from neatq_trainers.callbacks import Callback
 from neatq_trainers.cli import main
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import CHAMPION, CONFIG, METRICS, RESULT, load_run
-from neatq_trainers.metrics import Row
+from neatq_trainers.rows import Row
 from neatq_trainers.run import Run
 from neatq_trainers.train import Session, resume, start
 from neatq_trainers.workers import fitting_workers, open_workers

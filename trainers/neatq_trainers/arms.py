@@ -32,6 +32,7 @@ from neatq_torch.learning import (
     learner_kinds,
 )
 from neatq_trainers.config import AS_IT_COMES, LIFE_TICKS, NetworkConfig, RunConfig
+from neatq_trainers.nero.nero_world import NERO, NeroConfig, nero_config
 from neatq_trainers.worlds import (
     ArenaConfig,
     EnvConfig,
@@ -281,7 +282,7 @@ def preset(
         batch_ticks=chosen.batch_ticks,
         **_length(task, world, length or {}),
     )
-    if not isinstance(world, ArenaConfig):
+    if not world.lasting:
         known = config.to_dict()
         fitting = {path: one for path, one in chosen.episodic.items() if _has(known, path)}
         if isinstance(world, EnvConfig):  # which tells nobody the number of an episode
@@ -297,14 +298,14 @@ def _with_kinds(config: RunConfig, population: str | None, learner: str | None) 
         parts["population"] = population_kinds.config(population)()
         if not isinstance(parts["population"], RtNEATConfig):
             parts["learner"] = _having(config.learner, teacher_mutation=None, novelty=None)
-        if isinstance(config.world, ArenaConfig):
+        if isinstance(config.world, ArenaConfig | NeroConfig):
             life = config.world.scenario.lifetime_ticks or LIFE_TICKS
             parts["population"] = _having(parts["population"], minimum_life_ticks=life)
         else:
             parts["population"] = _having(parts["population"], minimum_life_episodes=2)
     if learner is not None:
         parts["learner"] = learner_kinds.config(learner)()
-        if not isinstance(config.world, ArenaConfig):
+        if not config.world.lasting:
             parts["learner"] = _having(parts["learner"], normalize_return=False, discount=0.99)
         parts["network"] = _networks_for(config, parts["learner"])
     return replace(config, **parts)
@@ -336,7 +337,7 @@ def _has(values: Mapping[str, Any], path: str) -> bool:
 
 def _population(arm: Arm, world: WorldConfig) -> Any:
     """That of the arm; in the arena a life is a robot's, and generations have one."""
-    if arm.population is None or not isinstance(world, ArenaConfig):
+    if arm.population is None or not isinstance(world, ArenaConfig | NeroConfig):
         return arm.population
     life = world.scenario.lifetime_ticks or LIFE_TICKS
     return _having(arm.population, minimum_life_ticks=life, episodes=1)
@@ -344,7 +345,7 @@ def _population(arm: Arm, world: WorldConfig) -> Any:
 
 def _learner(arm: Arm, world: WorldConfig) -> Any:
     """That of the arm; elsewhere than in the arena its critic teaches all."""
-    if isinstance(world, ArenaConfig):
+    if world.lasting:
         return arm.learner
     return _having(arm.learner, teacher_mutation=None, novelty=None)
 
@@ -369,6 +370,8 @@ def _world(task: str, arm: Arm, kwargs: Mapping[str, Any]) -> WorldConfig:
         name, *given = re.split(r":(?=[a-zA-Z_]\w*=)", task.removeprefix(PREFIX))
         own = {**assignments(given), **kwargs}
         return GymnasiumConfig(id=name, kwargs=own, slots=arm.slots)
+    if task == NERO:
+        return nero_config(kwargs)
     known = task in TASKS or Path(task).suffix == ".json"
     if not known and find_env(task):
         return EnvConfig(name=task, kwargs=dict(kwargs))
@@ -376,6 +379,7 @@ def _world(task: str, arm: Arm, kwargs: Mapping[str, Any]) -> WorldConfig:
         return ArenaConfig(scenario=find_scenario(task, defaults=arm.senses, changes=kwargs))
     meant = f"; did you mean {PREFIX}{task}?" if task in gymnasium.registry else ""
     raise ConfigError(
-        f"task: expected {', '.join((*TASKS, *env_kinds))}, gym:ID for a Gymnasium environment, "
-        f"or the path of a scenario file (.json); got {task!r}{meant} (explained in {WORLDS_PAGE})"
+        f"task: expected {', '.join((*TASKS, NERO, *env_kinds))}, gym:ID for a Gymnasium "
+        f"environment, or the path of a scenario file (.json); got {task!r}{meant} "
+        f"(explained in {WORLDS_PAGE})"
     )

@@ -26,10 +26,11 @@ from neatq_torch.learning import (
 )
 from neatq_torch.network import PopulationNetwork
 from neatq_trainers.config import RunConfig, named
-from neatq_trainers.metrics import DistanceMetrics, ReturnMetrics
+from neatq_trainers.metrics import DistanceMetrics, metrics_of
+from neatq_trainers.nero.nero_world import NeroConfig
 from neatq_trainers.run import Run, State
 from neatq_trainers.saved import check_form, restoring
-from neatq_trainers.worlds import ArenaConfig, EnvConfig, GymnasiumConfig, World, make_world
+from neatq_trainers.worlds import EnvConfig, GymnasiumConfig, World, make_world
 
 TEACHERS_STREAM = 3
 """Of the random numbers of teachers: [seed, stream]."""
@@ -82,7 +83,6 @@ def _in_world(config: RunConfig, world: World, state: State | None, episodes: in
         learner = learner_kinds.maker_of(config.learner)(config.learner, parts)
     except ValueError as error:
         raise ConfigError(named("learner", error)) from error
-    arena = isinstance(config.world, ArenaConfig)
     policy = getattr(learner, "policy", None) or _policy(config, network, heads, normalization)
     run = Run(
         config=config,
@@ -94,7 +94,7 @@ def _in_world(config: RunConfig, world: World, state: State | None, episodes: in
         populations=populations,
         teachers=_teachers(config, learner, populations),
         normalization=normalization,
-        metrics=DistanceMetrics(shape[0]) if arena else ReturnMetrics(populations, shape),
+        metrics=metrics_of(config, populations, shape),
     )
     run.begin_generation()
     if state is not None:
@@ -107,7 +107,8 @@ def _restore(run: Run, state: State) -> None:
     parts = {"policy": run.policy, "learner": run.learner, "metrics": run.metrics}
     # A user's own parts know best what they have saved.
     own = {name for name, part in parts.items() if type(part).__module__.startswith("neatq_")}
-    own |= set() if isinstance(run.config.world, EnvConfig) else {"world"}
+    # The fields of a curriculum have other turrets, and NERO checks what it loads.
+    own |= set() if isinstance(run.config.world, EnvConfig | NeroConfig) else {"world"}
     if isinstance(run.metrics, DistanceMetrics) and set(state["metrics"]) == {"champions"}:
         # Of 0.2.0, where a row was a single tick: the next one begins here.
         state = {**state, "metrics": run.metrics.state_dict() | state["metrics"]}
@@ -159,7 +160,7 @@ def _populations(
         with restoring():
             saved = state["populations"]
             return [kind.from_state(own, one, reward_weights=weights) for one in saved]
-    steep = isinstance(config.learner, CriticConfig) and isinstance(config.world, ArenaConfig)
+    steep = isinstance(config.learner, CriticConfig) and config.world.lasting
     usual = "steep_sigmoid" if steep else "sigmoid"
     ranks = not _learns_values(config) and isinstance(config.world, GymnasiumConfig)
     if ranks and heads.outputs == heads.candidates > 1:

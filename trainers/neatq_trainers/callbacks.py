@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.record.loggers import Logger, get_logger
 from tqdm import tqdm
 
-from neatq_trainers.metrics import DistanceRow, Row
+from neatq_trainers.rows import DistanceRow, NeroRow, Row
 from neatq_trainers.run import Run
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class TorchRLLogger(Callback):
 
 
 def _log(logger: Logger, rows: Sequence[Row]) -> None:
-    step = "tick" if isinstance(rows[0], DistanceRow) else "episodes"
+    step = "tick" if isinstance(rows[0], DistanceRow | NeroRow) else "episodes"
     for moment in sorted({getattr(row, step) for row in rows}):
         now = [row for row in rows if getattr(row, step) == moment]
         for name in now[0]._fields:
@@ -152,6 +152,9 @@ def words(rows: Sequence[Row]) -> str:
         mean = mean_of(latest, "mean_distance")
         nearest = min(row.min_distance for row in latest if isinstance(row, DistanceRow))
         return f"distance mean {mean:.0f}, least {nearest:.0f}"
+    if isinstance(latest[0], NeroRow):
+        hits, damage = mean_of(latest, "hits"), mean_of(latest, "damage")
+        return f"hits {hits:.2f}, damage {damage:.2f} of a robot in 100 ticks"
     best, champion = (mean_of(latest, name) for name in ("best_fitness", "champion_return"))
     return f"best {best:.1f}, champion {champion:.1f}"
 

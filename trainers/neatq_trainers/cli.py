@@ -18,23 +18,27 @@ _COMMANDS = {
     "export": ("neatq_trainers.export", "export_command"),
     "compare": ("neatq_experiments.command", "compare_command"),
     "reproduce": ("neatq_experiments.command", "reproduce_command"),
+    "battle": ("neatq_trainers.nero.commands", "battle_command"),
+    "tournament": ("neatq_trainers.nero.commands", "tournament_command"),
     "list": ("neatq_trainers.commands", "list_command"),
     "info": ("neatq_trainers.info", "info_command"),
 }
 """Where the function of each command is."""
 
-_USAGE = """usage: neatq {train,resume,export,compare,reproduce,list,info} ...
+_USAGE = """usage: neatq {train,resume,export,compare,reproduce,battle,tournament,list,info} ...
 
 Neuroevolution that learns during life, on robots in an arena, on any Gymnasium task and in worlds
 of your own.
 
-  neatq train      train a population and write a run folder   (neatq train --help)
-  neatq resume     go on with a run, exactly where it stopped  (neatq resume --help)
-  neatq export     write a champion as ONNX, C or Python       (neatq export --help)
-  neatq compare    run arms beside each other on tasks         (neatq compare --list)
-  neatq reproduce  run a published experiment                  (neatq reproduce list)
-  neatq list       say which tasks, arms, populations and learners there are
-  neatq info       say which versions run on which machine, for reports of faults
+  neatq train       train a population and write a run folder   (neatq train --help)
+  neatq resume      go on with a run, exactly where it stopped  (neatq resume --help)
+  neatq export      write a champion as ONNX, C or Python       (neatq export --help)
+  neatq compare     run arms beside each other on tasks         (neatq compare --list)
+  neatq reproduce   run a published experiment                  (neatq reproduce list)
+  neatq battle      let two teams of NERO fight                 (neatq battle --help)
+  neatq tournament  let teams of NERO all fight each other      (neatq tournament --help)
+  neatq list        say which tasks, arms, populations and learners there are
+  neatq info        say which versions run on which machine, for reports of faults
 
 Examples: neatq train --task wall --arm neatq --ticks 70000 --seed 0 --out runs/first
           neatq train --task gym:CartPole-v1 --arm neat

@@ -31,6 +31,7 @@ from neatq_trainers import train as trainer
 from neatq_trainers.config import LENGTHS
 from neatq_trainers.effects import refuse_without_effect
 from neatq_trainers.folder import CHECKPOINT, FILES, RunFolder
+from neatq_trainers.nero.nero_world import NERO
 from neatq_trainers.options import chosen_names, options_of, refuse_strangers, with_options
 from neatq_trainers.signals import Terminated
 from neatq_trainers.worlds import env_kinds
@@ -46,6 +47,7 @@ TASK_LINES = {
     "maze": "the hard maze of Lehman & Stanley (2011)",
     "switch": "two flags, of which one counts, and not always the same",
     "behind": "the same two flags behind a wall",
+    NERO: "teams that shoot: train one against turrets or a team (neatq battle lets two fight)",
     "FILE.json": "an arena of your own",
     "gym:ID": "any Gymnasium environment, such as gym:CartPole-v1 or gym:my_module:Mine-v0",
 }
@@ -106,7 +108,7 @@ def train_command(arguments: list[str]) -> None:
     default = arms.preset(
         chosen.task,
         chosen.arm,
-        env_kwargs=assignments(chosen.env_kwargs),
+        env_kwargs=assignments(chosen.env_kwargs) | _of_nero(chosen),
         population=chosen.population,
         learner=chosen.learner,
         length={unit: 1 for unit in LENGTHS if unit in given},
@@ -128,10 +130,29 @@ def _chosen(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     first.add_argument("--population")
     first.add_argument("--learner")
     first.add_argument("--env-kwargs", "--env_kwargs", nargs="*", action="extend", default=[])
+    first.add_argument("--reward", nargs="*", action="extend")
+    first.add_argument("--enemy")
+    first.add_argument("--field")
     try:
         return first.parse_known_args(arguments)
     except argparse.ArgumentError as error:
         raise ConfigError(str(error).removeprefix("argument ")) from error
+
+
+def _of_nero(chosen: argparse.Namespace) -> dict[str, Any]:
+    """What --reward, --enemy and --field say, as keys of NERO's field.
+
+    Raises:
+        ConfigError: If the task is another one, or a weight is none.
+    """
+    given = {name: getattr(chosen, name) for name in ("reward", "enemy", "field")}
+    asked = [f"--{name}" for name, value in given.items() if value is not None]
+    if asked and chosen.task != NERO:
+        raise ConfigError(f"{asked[0]}: it is for --task {NERO}; the task is {chosen.task}")
+    keys = {name: given[name] for name in ("enemy", "field") if given[name] is not None}
+    if chosen.reward is not None:
+        keys["reward_weights"] = assignments(chosen.reward)
+    return keys
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,6 +24,7 @@ from neatq_torch.learning import (
     learner_kinds,
 )
 from neatq_torch.network import Evaluation
+from neatq_trainers.nero.nero_world import NeroConfig
 from neatq_trainers.worlds import ArenaConfig, EnvConfig, GymnasiumConfig, WorldConfig, world_kinds
 
 Normalization = Literal["running"]
@@ -158,7 +159,7 @@ class RunConfig:
 
     def _check_teachers(self) -> None:
         lasting = isinstance(self.population, RtNEATConfig)
-        if not (lasting and isinstance(self.world, ArenaConfig)):
+        if not (lasting and self.world.lasting):
             raise ConfigError(
                 "learner.teacher_mutation: expected None, as explorers need places and models need "
                 "others that live on: only robots in the arena of the population rtneat have both"
@@ -195,7 +196,8 @@ class RunConfig:
                 "until the other arenas have lived their generation (run one seed after the other, "
                 "or take the arm rtneat or neatq)"
             )
-        lasting = isinstance(self.world, ArenaConfig) and not self.world.scenario.lifetime_ticks
+        robots = self.world if isinstance(self.world, ArenaConfig | NeroConfig) else None
+        lasting = robots is not None and not robots.scenario.lifetime_ticks
         if self.generational and lasting:
             raise ConfigError(
                 "lifetime_ticks: expected above 0, got 0; generations need lives that end (the "
@@ -298,7 +300,11 @@ class RunConfig:
                 values[parents[0]] = {"kind": value, **own, **shared}
         life, judged = "world.scenario.lifetime_ticks", "population.minimum_life_ticks"
         own = values["population"] or {}
-        if life in changes and judged not in changes and isinstance(self.world, ArenaConfig):
+        if (
+            life in changes
+            and judged not in changes
+            and isinstance(self.world, ArenaConfig | NeroConfig)
+        ):
             before = self.world.scenario.lifetime_ticks or LIFE_TICKS
             if own.get("minimum_life_ticks") == before:
                 own["minimum_life_ticks"] = changes[life] or LIFE_TICKS

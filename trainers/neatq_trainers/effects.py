@@ -17,7 +17,7 @@ from neatq_torch.evolution import (
 from neatq_torch.kinds import ConfigError
 from neatq_torch.learning import CriticConfig, ReplayConfig, TDConfig, TraceConfig
 from neatq_trainers.config import NetworkConfig, RunConfig
-from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig
+from neatq_trainers.worlds import GymnasiumConfig
 
 
 def refuse_without_effect(config: RunConfig, settings: Iterable[str]) -> None:
@@ -48,7 +48,7 @@ def without_effect(config: RunConfig) -> dict[str, str]:
         useless["learner.wires"] = f"{many}, and wires need a box of actions"
     if isinstance(config.learner, CriticConfig):
         useless |= _of_critic(config.learner, None if choices is None else many)
-        if not isinstance(world, ArenaConfig):
+        if not world.lasting:
             words = "explorers and models are for robots in the arena"
             useless |= dict.fromkeys(("learner.teacher_mutation", "learner.novelty"), words)
     return useless
@@ -163,7 +163,7 @@ def _of_learner(config: RunConfig) -> dict[str, str]:
         elif isinstance(own, TDConfig):
             useless["trace_decay"] = words
     if isinstance(own, TraceConfig) and config.generational:
-        if isinstance(config.world, ArenaConfig) or config.population.episodes == 1:
+        if config.world.lasting or config.population.episodes == 1:
             useless["anneal"] = "it falls from episode to episode, and a life has one"
         elif not isinstance(config.world, GymnasiumConfig):
             useless["anneal"] = "a world of your own does not tell the number of an episode"

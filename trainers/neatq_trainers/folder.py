@@ -24,7 +24,8 @@ from neatq_torch.kinds import ConfigError
 from neatq_trainers.callbacks import LOGS
 from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.lock import HOLDER, LOCK, RunFolderError
-from neatq_trainers.metrics import DistanceRow, ReturnRow, Row, csv_line, header, row_kind
+from neatq_trainers.nero.nero_world import NeroConfig
+from neatq_trainers.rows import DistanceRow, NeroRow, ReturnRow, Row, csv_line, header, row_kind
 from neatq_trainers.run import State
 from neatq_trainers.saved import best_score, check_saved
 from neatq_trainers.workers import Snapshot
@@ -348,14 +349,15 @@ def _unbegun(path: Path) -> bool:
     if {one.name for one in path.iterdir()} - early:
         return False
     metrics = path / METRICS
-    headers = [header(kind).encode() for kind in (DistanceRow, ReturnRow)]
+    headers = [header(kind).encode() for kind in (DistanceRow, NeroRow, ReturnRow)]
     return not metrics.exists() or metrics.read_bytes() in headers
 
 
 def life_ticks(config: RunConfig) -> int:
     """How much of a run its pictures show: one life, or 1000 ticks where lives have no end."""
     world = config.world
-    return (world.scenario.lifetime_ticks if isinstance(world, ArenaConfig) else 0) or 1000
+    robots = isinstance(world, ArenaConfig | NeroConfig)
+    return (world.scenario.lifetime_ticks if robots else 0) or 1000
 
 
 def load_run(path: Path | str) -> RunFolder:

@@ -25,7 +25,7 @@ from neatq_envs.torchrl_env import RowsEnv
 from neatq_torch.learning import write_back
 from neatq_torch.learning.candidates import NOBODY
 from neatq_trainers.callbacks import Callback
-from neatq_trainers.metrics import Row
+from neatq_trainers.rows import Row
 from neatq_trainers.run import Run
 
 
@@ -154,6 +154,7 @@ def judge(run: Run, batch: TensorDictBase) -> None:
     rewards = (following.get("reward") if vector is None else vector).numpy()
     done = following.get("done").squeeze(-1).numpy()
     for arena, population in enumerate(run.populations):
+        population.weigh(run.world.present_weights)
         where = None if pose is None else pose[arena, ..., :2].numpy()  # how it behaved
         population.record(rewards[arena], done[arena], behaviour=where)
 

@@ -4,114 +4,45 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from neatq_envs.episodes import EVALUATION, episode_seeds
+from neatq_envs.nero.training import MEASURES
 from neatq_envs.random_play import ObservationScaling
 from neatq_torch.evolution import Population
 from neatq_torch.evolution.parsimony import lowest_good
 from neatq_torch.genome import Genome
 from neatq_trainers.config import RunConfig
+from neatq_trainers.nero.nero_world import NeroConfig
+from neatq_trainers.rows import ROW_TICKS, DistanceRow, NeroRow, ReturnRow, Row
 from neatq_trainers.run import Champion, Run, State
 from neatq_trainers.worlds import ArenaConfig, GymnasiumWorld
 
-ROW_TICKS = 100
-"""One tick of the published figures."""
+
+def metrics_of(
+    config: RunConfig, populations: Sequence[Population], shape: tuple[int, int]
+) -> DistanceMetrics | NeroMetrics | ReturnMetrics:
+    """What watches a run of (arenas, slots)."""
+    if isinstance(config.world, NeroConfig):
+        return NeroMetrics(shape[0])
+    if isinstance(config.world, ArenaConfig):
+        return DistanceMetrics(shape[0])
+    return ReturnMetrics(populations, shape)
 
 
-class DistanceRow(NamedTuple):
-    """A row for every 100 ticks in the arena; distances are to the flag, in units.
+class RobotMetrics:
+    """Of robots that live on; sub-classes sum up what is measured, and say what a row has of it."""
 
-    The least and the greatest distance are those of the last of these ticks, the others means over
-    all of them: lives may all begin at a multiple of 100 ticks, and then a single one of these is
-    at the same age in every life. None is an empty cell.
-    """
+    _kind: type[DistanceRow] | type[NeroRow]
 
-    arena: int
-    tick: int
-    min_distance: float
-    mean_distance: float
-    max_distance: float
-    eligible_mean_distance: float | None
-    newborn_mean_distance: float | None
-    champion_distance: float | None
-    births: int
-    species: int
-    mean_nodes: float | None
-    mean_links: float | None
-    td_loss: float | None
-    epsilon: float
-
-
-class ReturnRow(NamedTuple):
-    """A row for every generation in worlds of returns. None is an empty cell.
-
-    Attributes:
-        arena: Number of the arena.
-        generation: From 1. Where genomes are replaced one at a time, as many lives as there are
-            slots.
-        episodes: In which genomes of the arena have lived so far; evaluations do not count.
-        steps: Of these episodes.
-        best_fitness: Best mean return of a life, exploration included.
-        mean_fitness: Mean over all slots.
-        evaluated_return: Best mean return of an evaluated genome, if there was an evaluation.
-        champion_return: That of the champion, when it was evaluated.
-        species: Species among which the genomes are divided.
-        mean_nodes: Nodes of a genome.
-        mean_links: Enabled links of a genome.
-        td_error: Mean squared TD error.
-    """
-
-    arena: int
-    generation: int
-    episodes: int
-    steps: int
-    best_fitness: float
-    mean_fitness: float
-    evaluated_return: float | None
-    champion_return: float
-    species: int
-    mean_nodes: float
-    mean_links: float
-    td_error: float | None
-
-
-Row = DistanceRow | ReturnRow
-
-
-def row_kind(config: RunConfig) -> type[DistanceRow] | type[ReturnRow]:
-    """The rows that a run writes."""
-    return DistanceRow if isinstance(config.world, ArenaConfig) else ReturnRow
-
-
-def header(kind: type[Row]) -> str:
-    """First line of `metrics.csv`."""
-    return ",".join(kind._fields) + "\n"
-
-
-def csv_line(row: Row) -> str:
-    """A row as a line of CSV."""
-    return ",".join(map(_cell, row)) + "\n"
-
-
-def _cell(value: float | None) -> str:
-    if value is None:
-        return ""
-    return str(value) if isinstance(value, int) else f"{value:.6g}"
-
-
-class DistanceMetrics:
-    """In the arena."""
-
-    def __init__(self, arenas: int) -> None:
+    def __init__(self, arenas: int, columns: int) -> None:
         self.champions: list[Champion | None] = [None] * arenas
-        # Of the ticks since the last row: distances summed up, and of how many, [arenas, 4] for all
-        # robots, those who are judged, newborns and the champion.
-        self._sums, self._counts = np.zeros((2, arenas, 4))
+        # Of the ticks since the last row: what was measured, summed up, and of how many values.
+        self._sums, self._counts = np.zeros((2, arenas, columns))
 
     def add(self, run: Run, batch: TensorDictBase, error: Tensor) -> list[Row]:
         """See `Metrics`. Half of the error is the row's `td_loss`."""
@@ -119,38 +50,39 @@ class DistanceMetrics:
             self._remember(run)
         return list(self._rows(run, batch, 0.5 * error.mean(-1).numpy()))
 
-    def _rows(self, run: Run, batch: TensorDictBase, loss: np.ndarray) -> Iterator[DistanceRow]:
-        distance = batch.get(("next", "distance")).squeeze(-1).double().numpy()
-        arenas, slots, ticks = distance.shape
-        some = run.populations or [None] * arenas
-        groups = np.stack([_groups(population, slots) for population in some])
+    def _rows(self, run: Run, batch: TensorDictBase, loss: np.ndarray) -> Iterator[Row]:
+        some = run.populations or [None] * batch.shape[0]
+        following, ticks = batch.get("next"), batch.shape[-1]
         first = run.tick - ticks
         ends = range(ROW_TICKS - first % ROW_TICKS, ticks + 1, ROW_TICKS)
         for start, end in pairwise(sorted({0, *ends, ticks})):
-            now = distance[..., end - 1]
-            self._sums += (groups * distance[:, None, :, start:end].sum(-1)).sum(-1)
-            self._counts += groups.sum(-1) * (end - start)
+            self._sum(following, slice(start, end), some)
             if end not in ends:
                 break
             for arena, population in enumerate(some):
-                yield DistanceRow(
+                yield self._kind(
                     arena=arena,
                     tick=first + end,
-                    min_distance=float(now[arena].min()),
-                    max_distance=float(now[arena].max()),
-                    **self._means(arena),
+                    **self._measured(following, end - 1, arena),
                     **_of_genomes(population),
                     td_loss=None if np.isnan(loss[arena]) else float(loss[arena]),
                     epsilon=getattr(run.config.learner, "epsilon", 0.0),
                 )
             self._sums[:], self._counts[:] = 0, 0
 
-    def _means(self, arena: int) -> dict[str, Any]:
-        """The mean distances of a row."""
-        names = "mean_distance", "eligible_mean_distance", "newborn_mean_distance"
+    def _sum(
+        self, following: TensorDictBase, ticks: slice, some: Sequence[Population | None]
+    ) -> None:
+        """Add what ticks of a batch [arenas, slots, ticks] measure to sums and counts."""
+        raise NotImplementedError
+
+    def _measured(self, following: TensorDictBase, last: int, arena: int) -> dict[str, Any]:
+        """What the row of an arena says, whose last tick has this index in the batch."""
+        raise NotImplementedError
+
+    def _means(self, arena: int) -> list[float | None]:
         pairs = zip(self._sums[arena].tolist(), self._counts[arena].tolist(), strict=True)
-        means = [total / count if count else None for total, count in pairs]
-        return dict(zip((*names, "champion_distance"), means, strict=True))
+        return [total / count if count else None for total, count in pairs]
 
     def _remember(self, run: Run) -> None:
         """Between generations nobody is the fittest: keep the champion of the one before."""
@@ -173,6 +105,53 @@ class DistanceMetrics:
         """Go on from `state_dict`."""
         self.champions = _loaded(state["champions"])
         self._sums, self._counts = np.array(state["sums"]), np.array(state["counts"])
+
+
+class DistanceMetrics(RobotMetrics):
+    """In the arena: sums of all robots, those who are judged, newborns and the champion."""
+
+    _kind = DistanceRow
+
+    def __init__(self, arenas: int) -> None:
+        super().__init__(arenas, 4)
+
+    def _sum(
+        self, following: TensorDictBase, ticks: slice, some: Sequence[Population | None]
+    ) -> None:
+        distance = following.get("distance")[..., ticks, 0].double().numpy()
+        groups = np.stack([_groups(population, distance.shape[1]) for population in some])
+        self._sums += (groups * distance.sum(-1)[:, None]).sum(-1)
+        self._counts += groups.sum(-1) * distance.shape[-1]
+
+    def _measured(self, following: TensorDictBase, last: int, arena: int) -> dict[str, Any]:
+        now = following.get("distance")[arena, :, last, 0].double()
+        names = "mean_distance", "eligible_mean_distance", "newborn_mean_distance"
+        means = dict(zip((*names, "champion_distance"), self._means(arena), strict=True))
+        return {"min_distance": float(now.min()), "max_distance": float(now.max()), **means}
+
+
+class NeroMetrics(RobotMetrics):
+    """On NERO's field: sums of `MEASURES` and deaths."""
+
+    _kind = NeroRow
+
+    def __init__(self, arenas: int) -> None:
+        super().__init__(arenas, len(MEASURES) + 1)
+
+    def _sum(
+        self, following: TensorDictBase, ticks: slice, some: Sequence[Population | None]
+    ) -> None:
+        names = "measures", "terminated"
+        parts = [following.get(name)[..., ticks, :].double().numpy() for name in names]
+        values = np.concatenate(parts, axis=-1).reshape(len(self.champions), -1, len(MEASURES) + 1)
+        self._sums += np.nansum(values, axis=1)
+        self._counts += np.isfinite(values).sum(1)
+
+    def _measured(self, following: TensorDictBase, last: int, arena: int) -> dict[str, Any]:
+        means = dict(zip((*MEASURES, "deaths"), self._means(arena), strict=True))
+        for name in ("hits", "damage", "deaths"):
+            means[name] = ROW_TICKS * (means[name] or 0.0)
+        return means
 
 
 def _groups(population: Population | None, slots: int) -> np.ndarray:

@@ -27,6 +27,10 @@ _HELP = """Train a population and write a run folder.
     --population NAME, --learner NAME: other kinds than the arm's; module:name for your own
     --env-kwargs NAME=VALUE ...: keys of the scenario (robots=30 lifetime_ticks=500), or arguments
     of the Gymnasium environment (continuous=true); values are JSON
+    --reward NAME=WEIGHT ...: what counts on --task nero, of stand_ground, stick_together,
+    approach_enemy, approach_flag, hit_target and avoid_fire
+    --enemy turrets, none, or the file of a team: against whom, on --task nero
+    --field nero, battle, drill (a curriculum) or FILE.json: where, on --task nero
 
     neatq list says which tasks, arms, populations and learners there are. The rarest settings of
     population.reproduction in config.json are not shown, but have options named like the others."""

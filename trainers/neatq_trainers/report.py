@@ -22,6 +22,7 @@ from neatq_envs.gymnasium_task import GymnasiumTask, TaskError
 from neatq_envs.observations import input_name, raised_by_environment
 from neatq_envs.render import ShownFigure, animation, draw_paths, frame, plain_title
 from neatq_torch.atomic import write_atomic
+from neatq_torch.genome import Genome
 from neatq_trainers.build import build
 from neatq_trainers.folder import (
     CHAMPION,
@@ -35,8 +36,10 @@ from neatq_trainers.folder import (
     life_ticks,
 )
 from neatq_trainers.genome_figure import candidate_names, draw_genome
-from neatq_trainers.metrics import ROW_TICKS
+from neatq_trainers.nero.life_film import life_frames
+from neatq_trainers.nero.nero_world import NeroConfig
 from neatq_trainers.policy import ChampionPolicy, make_policy
+from neatq_trainers.rows import ROW_TICKS
 from neatq_trainers.run import Run
 from neatq_trainers.worlds import ArenaConfig, ArenaWorld, GymnasiumConfig
 
@@ -51,6 +54,12 @@ _DISTANCES = (
     ("mean_distance", "tab:green", "mean of the team"),
     ("eligible_mean_distance", "0.45", "mean of the eligible"),
     ("newborn_mean_distance", "tab:orange", "mean of the newborn"),
+)
+_FIGHTS = (("hits", "tab:green", "hits scored"), ("damage", "tab:red", "damage taken"))
+_AWAY = (
+    ("enemy_distance", "tab:blue", "to the nearest enemy"),
+    ("friend_distance", "tab:orange", "to the nearest friend"),
+    ("flag_distance", "0.45", "to the flag"),
 )
 _RETURNS = (
     ("mean_fitness", "tab:green", "mean of all lives"),
@@ -77,6 +86,8 @@ def write_report(folder: RunFolder) -> list[str]:
             save_figure(draw_genome(champion), folder.path / PICTURE)
         _draw_team(folder, folder.config.world)
         return []
+    if isinstance(folder.config.world, NeroConfig):
+        return _draw_fighters(folder, champion)
     if champion is None:
         return []
     policy = make_policy(folder.config, champion, folder.facts())
@@ -118,6 +129,8 @@ def draw_curves(metrics: Columns, title: str, *, one_by_one: bool = True) -> Fig
         one_by_one: Whether genomes are replaced one by one; else all are newborn at once, and then
             all are old enough.
     """
+    if "hits" in metrics:
+        return _draw_fights(metrics, title)
     figure = ShownFigure(figsize=(8, 5.2), layout="tight")
     axes = figure.add_subplot()
     arenas = len(np.unique(metrics["arena"]))
@@ -140,6 +153,26 @@ def draw_curves(metrics: Columns, title: str, *, one_by_one: bool = True) -> Fig
         axes.set_ylim(bottom=0)
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
+    return figure
+
+
+def _draw_fights(metrics: Columns, title: str) -> Figure:
+    """Hits and damage of a team on NERO's field, and how near it is to enemies and friends."""
+    figure = ShownFigure(figsize=(8, 6.4), layout="tight")
+    upper, lower = figure.subplots(2, sharex=True)
+    when = metrics["tick"] / ROW_TICKS
+    for axes, columns in ((upper, _FIGHTS), (lower, _AWAY)):
+        for name, colour, label in columns:
+            if not np.isnan(metrics[name]).all():
+                _draw_curve(axes, when, metrics[name], colour, label)
+        axes.set_ylim(bottom=0)
+        axes.grid(alpha=0.3)
+        axes.legend(frameon=False)
+    arenas = len(np.unique(metrics["arena"]))
+    plain_title(upper, title if arenas == 1 else f"{title}: mean and range of {arenas} arenas")
+    upper.set_ylabel("of a robot in 100 ticks")
+    lower.set_ylabel("mean distance (units)")
+    lower.set_xlabel(f"figure tick ({ROW_TICKS} simulation ticks)")
     return figure
 
 
@@ -201,6 +234,17 @@ def _draw_team(folder: RunFolder, world: ArenaConfig) -> None:
         for pose, flag in zip(poses[::FRAME_TICKS], flags[::FRAME_TICKS], strict=True)
     ]
     write_atomic(folder.path / TEAM, animation(frames))
+
+
+def _draw_fighters(folder: RunFolder, champion: Genome | None) -> list[str]:
+    """Write the champion and a life of the team on NERO's field."""
+    if champion is not None:
+        save_figure(draw_genome(champion), folder.path / PICTURE)
+    state = folder.read()
+    run = build(folder.config.split(len(state["runs"]))[0], state["runs"][0])
+    frames = life_frames(run, life_ticks(folder.config), FRAME_TICKS)
+    write_atomic(folder.path / TEAM, animation(frames))
+    return []
 
 
 @torch.no_grad()

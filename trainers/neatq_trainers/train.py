@@ -31,8 +31,8 @@ from neatq_trainers.effects import refuse_without_effect
 from neatq_trainers.folder import RunFolder, check_new, load_run
 from neatq_trainers.lock import RunFolderError, locked
 from neatq_trainers.loop import Stride
-from neatq_trainers.metrics import ReturnRow, Row
 from neatq_trainers.names import file_name
+from neatq_trainers.rows import ReturnRow, Row
 from neatq_trainers.run import Champion
 from neatq_trainers.saved import best_score
 from neatq_trainers.signals import ending_by_signals, noting_signals, raise_for

@@ -22,7 +22,6 @@ from neatq_trainers.compiling import CompilingTold
 from neatq_trainers.config import RunConfig
 from neatq_trainers.loop import Stride, strides
 from neatq_trainers.run import Champion, State
-from neatq_trainers.worlds import ArenaConfig
 
 ARENAS_PER_WORKER = 4
 """A tick of one arena costs nearly as much as a tick of four."""
@@ -145,6 +144,6 @@ def _is_called_there(callback: Callback) -> bool:
 
 def fitting_workers(config: RunConfig) -> int:
     """How many processes make the most of this machine for a run."""
-    if isinstance(config.world, ArenaConfig):
+    if config.world.lasting:
         return max(1, min(usable_cores(), config.arenas // ARENAS_PER_WORKER))
     return usable_cores()

@@ -1,12 +1,12 @@
 """Worlds: what a run must know of where its robots live.
 
-Three kinds: the arena, any Gymnasium environment, and a user's own TorchRL environment.
+Four kinds: the arena, NERO's field (`nero.nero_world`), any Gymnasium environment, and a user's own
+TorchRL environment.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -32,43 +32,8 @@ from neatq_torch.kinds import ConfigError, Kinds, check_fields, import_own
 from neatq_torch.learning import CandidateHeads, DiscreteHeads, Heads
 from neatq_torch.learning.heads import ValueRange
 from neatq_torch.network import Evaluation, PopulationNetwork
-
-
-class World(ABC):
-    """What a run asks of a world.
-
-    Attributes:
-        env: A TorchRL environment of rows [arenas, slots]; with `world_state`, `load_world_state`
-            and `rebuild` (see `ArenaEnv`) a run in it goes on exactly.
-        inputs: Numbers that a network reads.
-        reward_weights: Of the dimensions of its reward vector, for evolution.
-        stream: Of the random numbers of evolution, beside the seed.
-    """
-
-    env: Any
-    inputs: int
-    reward_weights: tuple[float, ...] = (1.0,)
-    stream = 1
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(arenas, slots)."""
-        arenas, slots = self.env.batch_size
-        return arenas, slots
-
-    @abstractmethod
-    def heads(self, candidates: int, value_range: ValueRange = (0.0, 1.0)) -> Heads:
-        """How outputs are read: as actions of this world, and values in a range."""
-
-    @abstractmethod
-    def default_range(self, discount: float, *, normalized: bool) -> ValueRange:
-        """The Q-values that its rewards allow."""
-
-    def begin(self, generation: int) -> None:  # noqa: B027  (most worlds go on)
-        """Say which generation begins to live with the next reset."""
-
-    def close(self) -> None:  # noqa: B027  (most worlds have nothing open)
-        """Close what was opened."""
+from neatq_trainers.nero.nero_world import NeroConfig, NeroWorld
+from neatq_trainers.world import World, return_range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +46,7 @@ class ArenaConfig:
 
     lengths: ClassVar = ("ticks",)
     slots_name: ClassVar = "robots"
+    lasting: ClassVar = True
     scenario: Scenario = TASKS["wall"]
 
     @property
@@ -116,6 +82,7 @@ class GymnasiumConfig:
 
     lengths: ClassVar = ("steps", "generations")
     slots_name: ClassVar = "world.slots"
+    lasting: ClassVar = False
     id: tyro.conf.Suppress[str] = "CartPole-v1"
     kwargs: tyro.conf.Suppress[Mapping[str, Any]] = field(default_factory=dict)
     slots: int = 150
@@ -157,6 +124,7 @@ class EnvConfig:
 
     lengths: ClassVar = ("ticks",)
     slots_name: ClassVar = "slots"
+    lasting: ClassVar = False
     slots: ClassVar[int | None] = None
     name: str = ""
     kwargs: Mapping[str, Any] = field(default_factory=dict)
@@ -172,7 +140,7 @@ class EnvConfig:
         return f"env:{self.name}"
 
 
-WorldConfig = ArenaConfig | GymnasiumConfig | EnvConfig
+WorldConfig = ArenaConfig | NeroConfig | GymnasiumConfig | EnvConfig
 MakeEnv = Callable[..., EnvBase]
 world_kinds = Kinds("world")
 env_kinds: dict[str, MakeEnv] = {}
@@ -217,7 +185,7 @@ class ArenaWorld(World):
 
     def default_range(self, discount: float, *, normalized: bool) -> ValueRange:
         """Returns of rewards within [0, 1]."""
-        return 0.0, 1.0 if normalized or discount >= 1 else 1 / (1 - discount)
+        return return_range(discount, normalized=normalized)
 
 
 class GymnasiumWorld(World):
@@ -393,6 +361,8 @@ def make_world(
     """The world of a configuration; see `GymnasiumWorld`, which alone asks for the rest."""
     if isinstance(config, ArenaConfig):
         return ArenaWorld(config, seeds)
+    if isinstance(config, NeroConfig):
+        return NeroWorld(config, seeds)
     if isinstance(config, EnvConfig):
         return EnvWorld(config, seeds)
     assert facts is not None
@@ -436,5 +406,6 @@ def facts_of(config: WorldConfig, discount: float, *, apart: bool = False) -> En
 
 
 world_kinds.register("arena", ArenaConfig, ArenaWorld)
+world_kinds.register("nero", NeroConfig, NeroWorld)
 world_kinds.register("gymnasium", GymnasiumConfig, GymnasiumWorld)
 world_kinds.register("env", EnvConfig, EnvWorld)

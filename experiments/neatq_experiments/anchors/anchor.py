@@ -28,6 +28,7 @@ from neatq_experiments.forward import forward_us
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.arms import preset
 from neatq_trainers.config import LENGTHS, Length
+from neatq_trainers.nero.nero_world import NeroConfig
 from neatq_trainers.worlds import ArenaConfig, EnvConfig, GymnasiumConfig
 
 EVALUATIONS = 40
@@ -105,8 +106,8 @@ def anchor_config(
     """
     arm = preset(task, "neatq", env_kwargs=env_kwargs)  # whose world it shares
     world = arm.world
-    if isinstance(world, EnvConfig):
-        raise ConfigError(f"arm: {name} does not run on {task}: anchors know no worlds of your own")
+    if isinstance(world, EnvConfig | NeroConfig):
+        raise ConfigError(f"arm: {name} does not run on {task}: anchors know the arena and gym:ID")
     own: dict[str, Any] = {"task": task, "arm": name, "world": world}
     if isinstance(world, ArenaConfig):
         if name.startswith(SB3):

@@ -17,7 +17,7 @@ from neatq_envs.torchrl_env import ArenaEnv
 from neatq_experiments.anchors.anchor import AnchorConfig
 from neatq_torch.learning.novelty import ExplorerReward
 from neatq_trainers.folder import Columns
-from neatq_trainers.metrics import ROW_TICKS
+from neatq_trainers.rows import ROW_TICKS
 from neatq_trainers.worlds import ArenaConfig
 
 HIDDEN = (64, 64)

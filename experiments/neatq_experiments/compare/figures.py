@@ -17,7 +17,7 @@ from neatq_experiments.compare.report import paired_differences, reference_of
 from neatq_experiments.compare.statistics import band, mean_estimate, mean_of_known
 from neatq_experiments.compare.tables import POINT_TICKS, Curves, Study
 from neatq_experiments.compare.variants import PAPER_ARMS
-from neatq_trainers.metrics import ROW_TICKS
+from neatq_trainers.rows import ROW_TICKS
 
 _ARM_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
 _OTHER_COLOURS = (

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from neatq_experiments.compare.statistics import mean_of_known
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.folder import RunFolderError
-from neatq_trainers.metrics import ROW_TICKS
+from neatq_trainers.rows import ROW_TICKS
 
 RESULTS, SEEDS = "results.csv", "seeds.csv"
 POINT_ROWS = 5

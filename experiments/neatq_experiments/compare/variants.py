@@ -10,6 +10,7 @@ from neatq_torch.kinds import ConfigError
 from neatq_trainers.arms import ANCHORS, ARMS, preset
 from neatq_trainers.config import RunConfig
 from neatq_trainers.names import file_name
+from neatq_trainers.nero.nero_world import NERO
 from neatq_trainers.worlds import ArenaConfig
 
 PAPER_ARMS = ("rtneat", "committed", "described", "neatq", "qlearning")
@@ -83,6 +84,9 @@ def config_of(task: str, name: str, env_kwargs: Mapping[str, Any] | None = None)
         ConfigError: If there is no such arm or task, or a change of the variant is impossible.
         ScenarioError: If the scenario file cannot be used.
     """
+    if task == NERO:
+        advice = "let the teams of its runs fight: neatq tournament runs/*/"
+        raise ConfigError(f"tasks: {NERO} has no distance or return to compare; {advice}")
     if name in ARMS:
         return preset(task, name, env_kwargs=env_kwargs)
     variant = known_variants().get(name)

@@ -30,7 +30,7 @@ from neatq_experiments.seeds import Result, Results, SeedTask, tasks
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.callbacks import ProgressBar
 from neatq_trainers.folder import load_run
-from neatq_trainers.metrics import Row
+from neatq_trainers.rows import Row
 from neatq_trainers.train import Session
 from neatq_trainers.worlds import ArenaConfig
 

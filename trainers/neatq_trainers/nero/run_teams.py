@@ -1,0 +1,48 @@
+"""Teams of run folders: the robots of a run, with what they had learnt."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from neatq_torch.kinds import ConfigError
+from neatq_trainers.build import build
+from neatq_trainers.folder import load_run
+from neatq_trainers.nero.nero_world import NERO, NeroConfig
+from neatq_trainers.nero.teams import Team, read_team
+
+RUN_BIAS = 1.0
+"""What bias nodes of networks are that were trained here."""
+
+
+def find_team(path: Path | str) -> Team:
+    """The team of an OpenNERO file, or of arena 0 of the run in a folder.
+
+    Raises:
+        ConfigError: In one sentence, if there is none. `TeamFileError` is one, too.
+        RunFolderError: If there is no run in the folder.
+        CheckpointError: If the run is damaged.
+    """
+    path = Path(path)
+    return _run_team(path) if path.is_dir() else read_team(path)
+
+
+def _run_team(path: Path) -> Team:
+    folder = load_run(path)
+    config = folder.config
+    if not isinstance(config.world, NeroConfig):
+        raise ConfigError(f"{path}: expected a run of --task {NERO}, got one of {config.task}")
+    if config.network.double_activation:
+        raise ConfigError(f"{path}: networks that are activated twice a tick know no battle")
+    state = folder.read()
+    first = config.split(len(state["runs"]))[0]
+    run = build(first, state["runs"][0])
+    if run.network is None:
+        raise ConfigError(f"{path}: the arm {config.arm} has tables instead of networks")
+    return Team(
+        name=path.resolve().name,
+        genomes=tuple(run.genome(0, slot) for slot in range(run.shape[1])),
+        sensors=config.world.scenario.sensors,
+        evaluation=config.network.evaluation,
+        candidates=run.heads.candidates,
+        bias=RUN_BIAS,
+    )
