@@ -189,7 +189,7 @@ class Scenario:
             )
             for index, wall in enumerate(self.walls):
                 require(
-                    not _meet(xs, ys, wall, self.robot_radius),
+                    not meets_wall(xs, ys, wall, self.robot_radius),
                     f"{where}: a robot of radius {self.robot_radius} would begin inside "
                     f"walls[{index}]; move the spawn or the wall, or lower the jitter",
                 )
@@ -225,7 +225,7 @@ class Scenario:
         return np.any([box_distance(x, y, wall) <= 0 for wall in self.walls], axis=0)
 
 
-def _meet(xs: np.ndarray, ys: np.ndarray, wall: Wall, radius: float) -> bool:
+def meets_wall(xs: np.ndarray, ys: np.ndarray, wall: Wall, radius: float) -> bool:
     """Whether a robot at one of the places `xs` x `ys` would touch a wall."""
     cosine, sine = abs(math.cos(wall.angle_rad)), abs(math.sin(wall.angle_rad))
     # Only near the wall, one column at a time: there may be millions of places.

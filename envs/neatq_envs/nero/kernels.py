@@ -1,8 +1,8 @@
 """One tick of a field on which teams of robots sense, think, shoot and move, compiled.
 
-The rules are those of the OpenNERO source code (mods/NERO and mods/NERO_Battle; `source/rtneat`
-for how networks are activated): robots take their turns one after the other, blue's first; each
-senses, thinks, shoots, takes the damage that has come in since its last turn, and moves.
+The rules are OpenNERO's (mods/NERO, mods/NERO_Battle, source/rtneat): robots take their turns one
+after the other, blue's first; each senses, thinks, shoots, takes the damage since its last turn,
+and moves.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ RAYS = (0.0, 1.0), (_DIAGONAL, _DIAGONAL), (1.0, 0.0), (_DIAGONAL, -_DIAGONAL), 
 WALL_RANGE, WALL_NEAR = 50.0, 5.0
 SIGHT_RANGE, SIGHT_NEAR = 300.0, 30.0
 RADAR_BORDERS = tuple(  # cosine and sine of the left and of the right border of each in front
-    tuple(f(math.radians(degrees)) for degrees in borders for f in (math.cos, math.sin))
+    tuple(round(f(math.radians(d)), 15) for d in borders for f in (math.cos, math.sin))
     for borders in ((90.0, 12.0), (18.0, -3.0), (3.0, -18.0), (-12.0, -90.0))
 )
 REAR_COSINE = math.cos(math.radians(87.0))
@@ -32,7 +32,7 @@ AIM_PENALTY = 20.0
 TURRET_TURN_RAD = 0.1
 SHOT_RANGE_2011, SHOT_RANGE_2014, SIGHT_2014 = 600.0, 200.0, 300.0
 FIRE_ABOVE = 0.5
-MOST_ACTIVATIONS = 20
+MOST_ACTIVATIONS, MOST_PUSHES = 20, 64
 
 
 @cached_njit()
@@ -47,15 +47,15 @@ def play(
 ) -> int:
     """Let teams fight until one is dead or `ticks` have passed; returns the ticks that passed.
 
-    `film` takes poses float32 [ticks, robots, 3] and, int16 [ticks, robots, 2], hit points left
-    (-1: off the field) and at whom a robot shot; arrays of no ticks take nothing.
+    `film`, of which arrays may have no ticks, takes poses float32 [ticks, robots, 3] and, int16
+    [ticks, robots, 2], hit points left (-1: off the field) and at whom a robot shot.
     """
     for now in range(ticks):
         if tick(field, ground, law, brains, np.empty((0, 4)), rng) < 2:
             return now
         if now < len(film[0]):
             for robot in range(len(field.team)):
-                left = law.hit_points - field.damage[robot] if field.alive[robot] else -1
+                left = max(law.hit_points - field.damage[robot], 0) if field.alive[robot] else -1
                 film[0][now, robot] = field.pose[robot]
                 film[1][now, robot, 0], film[1][now, robot, 1] = left, field.shot[robot]
     return ticks
@@ -72,11 +72,12 @@ def tick(
 ) -> int:
     """Let everybody take a turn; returns how many teams were on the field.
 
-    `actions`, float64 [robots, 4], are those of robots that are moved from outside: speed in units
-    per tick, turn in rad, fire, and whether friends are ignored; as many as the sensors have.
+    `actions`, float64 [robots, 4], are those of robots that are moved from outside: speed (units
+    per tick), turn (rad), fire, and whether friends are ignored.
     """
     correct(field, ground)
-    living = _begin(field)
+    living = find_centres(field)
+    field.hits[:], field.shot[:], field.speed[:] = 0, -1, 0.0
     values = np.empty(32)
     for robot in range(len(field.team)):
         if not field.alive[robot]:
@@ -85,38 +86,32 @@ def tick(
         if control != 2 and field.damage[robot] >= law.hit_points:
             field.alive[robot] = False
             continue
-        if not field.begun[robot]:
-            field.begun[robot] = True
-            field.pose[robot, 2] = math.radians(math.floor(360 * rng.random())) - math.pi
-            continue
         if control == 2:
             _shoot(field, ground, law, robot, _target(field, robot), 1.0, rng)
             field.pose[robot, 2] = _wrapped(field.pose[robot, 2] + TURRET_TURN_RAD)
             field.pending[robot] = 0
             continue
         if control == 1:
-            speed, turn = actions[robot, 0], actions[robot, 1]
-            fire, ignore = actions[robot, 2], actions[robot, 3]
-            target = _target(field, robot)
+            target, given = _target(field, robot), actions[robot]
+            speed, turn, fire, ignore = given[0], given[1], given[2], given[3]
         else:
             count, target = sense(values, field, ground, law, robot)
             speed, turn, fire, ignore = _think(brains, robot, values, count, law)
+        if not field.begun[robot]:
+            field.begun[robot] = True
+            field.pose[robot, 2] = math.radians(math.floor(360 * rng.random())) - math.pi
+            continue
         aim = _shoot(field, ground, law, robot, target, fire, rng)
         field.taken[robot] = field.pending[robot]
         field.damage[robot] += field.pending[robot]
         field.pending[robot] = 0
         field.ignores[robot] = ignore > FIRE_ABOVE
         field.speed[robot] = speed
-        _move(field.pose[robot], speed, aim if aim != 0.0 else turn)
+        pose = field.pose[robot]
+        pose[2] = _wrapped(pose[2] + (aim if aim != 0.0 else turn))  # turn first, then go
+        pose[0] += speed * math.cos(pose[2])
+        pose[1] += speed * math.sin(pose[2])
     return living
-
-
-@cached_njit()
-def _move(pose: np.ndarray, speed: float, turn: float) -> None:
-    """Turn first, then go along the new heading."""
-    pose[2] = _wrapped(pose[2] + turn)
-    pose[0] += speed * math.cos(pose[2])
-    pose[1] += speed * math.sin(pose[2])
 
 
 @cached_njit()
@@ -126,13 +121,12 @@ def _wrapped(angle: float) -> float:
 
 
 @cached_njit()
-def _begin(field: Field) -> int:
-    """Forget the tick before and write where teams are on average; returns how many live."""
+def find_centres(field: Field) -> int:
+    """Write where teams are on average; returns how many live. Turrets are none."""
     count = np.zeros(len(field.centre))
     field.centre[:] = 0.0
     for robot in range(len(field.team)):
-        field.hits[robot], field.shot[robot], field.speed[robot] = 0, -1, 0.0
-        if field.alive[robot]:
+        if field.alive[robot] and field.control[robot] != 2:
             count[field.team[robot]] += 1.0
             field.centre[field.team[robot]] += field.pose[robot, :2]
     for team in range(len(count)):
@@ -153,25 +147,22 @@ def sense(
     """
     pose = field.pose[robot]
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
-    for index in range(23):
-        values[index] = 0.0
+    values[:] = 0.0
     _sense_walls(values, pose, cosine, sine, ground, law.sensors == SENSORS_2011)
     if not math.isnan(field.flag[0]):
         dx, dy = field.flag[0] - pose[0], field.flag[1] - pose[1]
         _add_radar(values, 5, cosine * dx + sine * dy, cosine * dy - sine * dx)
     target = _sense_others(values, field, robot, cosine, sine, law.sensors == SENSORS_OWN)
-    for index in range(5, 20):
-        values[index] = min(values[index], 1.0)
-    aims = 1.0 if target >= 0 else 0.0
+    values[5:20] = np.minimum(values[5:20], 1.0)
     if law.sensors == SENSORS_OWN:
-        values[20] = aims
+        values[20] = 1.0 if target >= 0 else 0.0
         values[21] = max(1.0 - field.damage[robot] / law.hit_points, 0.0)
-        values[22] = 1.0 if field.taken[robot] or field.pending[robot] else 0.0
+        values[22] = min(1.0, field.taken[robot] + field.pending[robot])
         return 23, target
     if not field.ignores[robot]:
         _sense_friends(values, field, robot, cosine, sine, law.sensors == SENSORS_2011)
     if law.sensors == SENSORS_2011:
-        values[17] = aims
+        values[17] = 1.0 if target >= 0 else 0.0
     return 18, target
 
 
@@ -222,15 +213,21 @@ def _add_radar(values: np.ndarray, first: int, along: float, across: float) -> N
 def _sense_friends(
     values: np.ndarray, field: Field, robot: int, cosine: float, sine: float, of_2011: bool
 ) -> None:
-    """Write how far the mean place of the team is, and where, if it is within 15 units."""
-    centre, pose = field.centre[field.team[robot]], field.pose[robot]
-    dx, dy = centre[0] - pose[0], centre[1] - pose[1]
+    """Write how far and where the mean of the team is, in 2014 of those within 15 units."""
+    pose, team, count = field.pose[robot], field.team[robot], 1.0
+    dx, dy = field.centre[team, 0] - pose[0], field.centre[team, 1] - pose[1]
+    for other in range(0 if of_2011 else len(field.team)):
+        dx, dy = (0.0, 0.0) if other == 0 else (dx, dy)
+        x, y = field.pose[other, 0] - pose[0], field.pose[other, 1] - pose[1]
+        near = x * x + y * y <= TEAM_RANGE * TEAM_RANGE and other != robot
+        if near and field.alive[other] and field.team[other] == team:
+            dx, dy, count = dx + x, dy + y, count + 1.0
+    dx, dy = dx / count, dy / count
     distance = math.sqrt(dx * dx + dy * dy)
-    if distance > TEAM_RANGE:
-        return
-    angle = math.atan2(cosine * dy - sine * dx, cosine * dx + sine * dy)
-    values[15] = distance / TEAM_RANGE if of_2011 else 1.0 - distance / TEAM_RANGE
-    values[16] = (angle + math.pi) / (2 * math.pi)
+    if distance <= TEAM_RANGE:
+        angle = math.atan2(cosine * dy - sine * dx, cosine * dx + sine * dy)
+        values[15] = distance / TEAM_RANGE if of_2011 else 1.0 - distance / TEAM_RANGE
+        values[16] = (angle + math.pi) / (2 * math.pi) if distance > 1e-9 else 0.5
 
 
 @cached_njit()
@@ -308,13 +305,11 @@ def _sense_walls(
     values: np.ndarray, pose: np.ndarray, cosine: float, sine: float, ground: Ground, of_2011: bool
 ) -> None:
     """Write how near walls are along the five rays."""
-    low_x, high_x, low_y, high_y = ground.inner
+    left, right, bottom, top = ground.inner
     for ray in range(5):
-        left, up = RAYS[ray]
-        way_x, way_y = cosine * left - sine * up, sine * left + cosine * up
-        distance = min(
-            _leaves(pose[0], way_x, low_x, high_x), _leaves(pose[1], way_y, low_y, high_y)
-        )
+        along, up = RAYS[ray]
+        way_x, way_y = cosine * along - sine * up, sine * along + cosine * up
+        distance = min(_leaves(pose[0], way_x, left, right), _leaves(pose[1], way_y, bottom, top))
         for wall in range(len(ground.boxes)):
             box = ground.boxes[wall]
             dx, dy = pose[0] - box[0], pose[1] - box[1]
@@ -362,26 +357,28 @@ def look(field: Field, ground: Ground, law: NeroLaw, robots: int, observed: np.n
 @cached_njit()
 def correct(field: Field, ground: Ground) -> None:
     """Push the robots' ellipses out of walls and borders, the nearest way: they slide along."""
-    radius_x, radius_y = ground.radius
+    wide, high = ground.radius
     low_x, high_x, low_y, high_y = ground.inner
     for robot in range(len(field.team)):
-        if not field.alive[robot] or field.control[robot] == 2:
-            continue
-        pose = field.pose[robot]
-        for wall in range(len(ground.boxes)):
-            box = ground.boxes[wall]
-            reach = box[6] + max(radius_x, radius_y)
-            if (pose[0] - box[0]) ** 2 + (pose[1] - box[1]) ** 2 <= reach * reach:
-                x, y = _pushed_out(pose[0] / radius_x, pose[1] / radius_y, ground.corners[wall])
-                pose[0], pose[1] = x * radius_x, y * radius_y
-        pose[0] = min(max(pose[0], low_x + radius_x), high_x - radius_x)
-        pose[1] = min(max(pose[1], low_y + radius_y), high_y - radius_y)
+        pose, going = field.pose[robot], field.alive[robot] and field.control[robot] != 2
+        for _ in range(MOST_PUSHES if going else 0):
+            from_x, from_y = pose[0], pose[1]
+            for wall in range(len(ground.boxes)):
+                box = ground.boxes[wall]
+                reach = box[6] + max(wide, high)
+                if (pose[0] - box[0]) ** 2 + (pose[1] - box[1]) ** 2 <= reach * reach:
+                    x, y = _pushed_out(pose[0] / wide, pose[1] / high, ground.corners[wall])
+                    pose[0], pose[1] = x * wide, y * high
+            pose[0] = min(max(pose[0], low_x + wide), high_x - wide)
+            pose[1] = min(max(pose[1], low_y + high), high_y - high)
+            if math.hypot(pose[0] - from_x, pose[1] - from_y) < 1e-9:
+                break
 
 
 @cached_njit()
 def _pushed_out(x: float, y: float, corners: np.ndarray) -> tuple[float, float]:
     """Where a circle of radius 1 goes that meets a convex polygon [4, 2], counter-clockwise."""
-    inside, least, near_x, near_y = True, math.inf, x, y
+    inside, least, near_x, near_y, out_x, out_y = True, math.inf, x, y, 0.0, 0.0
     for side in range(4):
         from_x, from_y = corners[side]
         way_x, way_y = corners[(side + 1) % 4, 0] - from_x, corners[(side + 1) % 4, 1] - from_y
@@ -392,9 +389,13 @@ def _pushed_out(x: float, y: float, corners: np.ndarray) -> tuple[float, float]:
         inside = inside and way_x * (y - from_y) - way_y * (x - from_x) >= 0.0
         if distance < least:
             least, near_x, near_y = distance, foot_x, foot_y
+            length = math.hypot(way_x, way_y)
+            out_x, out_y = way_y / length, -way_x / length
     if least >= 1.0 and not inside:
         return x, y
-    scale = (-1.0 if inside else 1.0) / max(least, 1e-9)
+    if least < 1e-9:
+        return near_x + out_x, near_y + out_y
+    scale = (-1.0 if inside else 1.0) / least
     return near_x + (x - near_x) * scale, near_y + (y - near_y) * scale
 
 
@@ -445,6 +446,5 @@ def _activate_once(brains: TeamBrains, robot: int, begin: int) -> None:
 def _activated(total: float, activation: int) -> float:
     if activation == 1 or activation == 2:
         return 1.0 / (1.0 + math.exp(-total * (4.9 if activation == 2 else 1.0)))
-    if activation == 3:
-        return math.tanh(total)
-    return max(total, 0.0) if activation == 4 else total
+    rectified = max(total, 0.0) if activation == 4 else total
+    return math.tanh(total) if activation == 3 else rectified

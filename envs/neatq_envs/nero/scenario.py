@@ -26,7 +26,7 @@ from neatq_envs.checks import (
     require_known,
     shown,
 )
-from neatq_envs.scenario import BORDER_INSET, Spawn, file_values, naming_file
+from neatq_envs.scenario import BORDER_INSET, Spawn, file_values, meets_wall, naming_file
 from neatq_envs.walls import Wall, box_distance
 
 REWARD_NAMES: tuple[str, ...] = (
@@ -46,7 +46,8 @@ NERO_ACTIONS: dict[str, tuple[str, ...]] = {
     "opennero-2014": ("speed", "turn", "fire", "ignore_friends"),
     "nero-1": ("speed", "turn", "fire"),
 }
-_ROOM = 6.53 + BORDER_INSET
+_RADIUS = 6.53
+_ROOM = _RADIUS + BORDER_INSET
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +139,10 @@ class NeroScenario:
         require(bool(self.spawns), "spawns: expected at least one spawn, got none")
         for index, spawn in enumerate(self.spawns):
             self._check_place(f"spawns[{index}]", (spawn.x, spawn.y), _ROOM + spawn.jitter)
+            xs, ys = spawn.x + spawn.offsets(), spawn.y + spawn.offsets()
+            for number, wall in enumerate(self.walls):
+                words = f"spawns[{index}]: jitter {spawn.jitter} reaches walls[{number}]; move one"
+                require(not meets_wall(xs, ys, wall, _RADIUS), words)
         for index, place in enumerate(self.turrets):
             self._check_place(f"turrets[{index}]", place, BORDER_INSET)
         if self.flag is not None:
@@ -226,9 +231,10 @@ def _stages_of(values: Any, wanted: Mapping[str, Any]) -> tuple[Stage, ...]:
             stages.append(_stage_of(part, shared, wanted))
     first = stages[0].scenario
     for number, stage in enumerate(stages):
-        alike = stage.scenario.robots, stage.scenario.sensors
-        words = f"stages[{number}]: expected {first.robots} robots that sense {first.sensors!r}"
-        require(alike == (first.robots, first.sensors), f"{words}, as in stages[0], got {alike}")
+        for key in ("robots", "sensors", "max_speed", "max_turn_rad"):
+            own, wanted_one = getattr(stage.scenario, key), getattr(first, key)
+            words = f"stages[{number}]: {key}: expected {wanted_one}, as in stages[0], got {own}"
+            require(own == wanted_one, words)
     return tuple(stages)
 
 

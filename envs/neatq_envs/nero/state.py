@@ -187,7 +187,8 @@ def spawn_robots(
         offset = rng.integers(-spawn.jitter, max(spawn.jitter, 1), size=2)
         field.pose[robot] = (spawn.x + offset[0], spawn.y + offset[1], 0.0)
         field.alive[robot], field.begun[robot] = True, False
-        field.pending[robot] = field.damage[robot] = field.taken[robot] = 0
+        for column in (field.pending, field.damage, field.taken, field.hits, field.speed):
+            column[robot] = 0
         field.ignores[robot] = False
 
 

@@ -115,6 +115,7 @@ class TrainingField:
         before = self.observation
         self._look()
         self.observation = np.where(mask[..., None], self.observation, before)
+        self.reward_vector = np.where(mask[..., None], 0.0, self.reward_vector)
 
     def step(self, actions: np.ndarray) -> None:
         """Let a tick pass: actions [arenas, robots, actions], clipped to their bounds.
@@ -134,10 +135,11 @@ class TrainingField:
         self.age_ticks = self.age_ticks + 1
         before = self.measures
         dead = np.stack([field.damage >= self._law.hit_points for field in self.fields])
-        self._raise_enemies(dead)
         self._end(dead[:, : self.shape[1]])
         self._look()
         self._reward(before)
+        if self._raise_enemies(dead):  # whoever shot one is not blamed for where it begins anew
+            self._look()
         if self.tick in self._ends:
             self._go_on()
 
@@ -158,11 +160,15 @@ class TrainingField:
         field.pose[robots, 2] = np.radians(degrees) - math.pi
         field.begun[robots] = True
 
-    def _raise_enemies(self, dead: np.ndarray) -> None:
+    def _raise_enemies(self, dead: np.ndarray) -> bool:
+        """Let dead enemies begin anew; whether there were any."""
+        found = False
         for arena, field in enumerate(self.fields):
             fallen = np.flatnonzero(dead[arena] & (field.team == 1))
             if len(fallen):
                 self._begin(field, fallen, self._rngs[arena])
+                found = True
+        return found
 
     def _end(self, dead: np.ndarray) -> None:
         lifetime = self.scenario.lifetime_ticks
@@ -176,6 +182,8 @@ class TrainingField:
         self.measures = np.zeros((*self.shape, len(MEASURES)))
         self.pose = np.stack([field.pose[: self.shape[1]] for field in self.fields])
         for arena, field in enumerate(self.fields):
+            kernels.correct(field, self._ground)
+            kernels.find_centres(field)
             kernels.look(field, self._ground, self._law, self.shape[1], self.observation[arena])
             _measure(field, self.shape[1], self.measures[arena])
 
@@ -195,7 +203,7 @@ class TrainingField:
         gained = np.nan_to_num(before - self.measures)[..., [3, 2, 4]] / self.scenario.max_speed
         still = 1 - 2 * speed[..., None] / self.scenario.max_speed
         parts = np.concatenate([still, gained, own[..., 1:]], axis=-1).clip(-1, 1)
-        self.reward = (parts @ (self.weights / np.abs(self.weights).sum()) + 1) / 2
+        self.reward = (parts @ (self.weights / max(np.abs(self.weights).sum(), 1e-12)) + 1) / 2
 
     def world_state(self) -> dict[str, Any]:
         """All that the worlds are: a nested dict of numpy arrays and JSON values."""

@@ -60,7 +60,6 @@ def _brain(genome: Genome, team: Team) -> dict[str, np.ndarray]:
     order = _evaluated(genome, settles)
     row = np.empty(len(order), np.int64)
     row[order] = np.arange(len(order))
-    kind = genome.node_kind[order]
     used = np.flatnonzero(genome.link_enabled)
     target = row[genome.target_index[used]]
     used, target = (one[np.argsort(target, kind="stable")] for one in (used, target))
@@ -72,7 +71,7 @@ def _brain(genome: Genome, team: Team) -> dict[str, np.ndarray]:
         "source": row[genome.source_index[used]],
         "weight": genome.link_weight[used],
         "late": late,
-        "outputs": np.flatnonzero(kind == NodeKind.OUTPUT),
+        "outputs": row[np.flatnonzero(genome.node_kind == NodeKind.OUTPUT)],
     }
 
 

@@ -11,7 +11,7 @@ from neatq_envs.nero.scenario import NeroScenario, NeroSource, find_nero
 from neatq_envs.nero.state import BATTLE_STREAM, Field, law_of, make_field, spawn_robots, walls_of
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.nero.brains import team_brains
-from neatq_trainers.nero.teams import Team
+from neatq_trainers.nero.teams import FIRING_OF, Team
 
 BLUE, RED = 0, 1
 
@@ -34,12 +34,8 @@ class BattleRules:
 
     def scenario(self, sensors: str) -> NeroScenario:
         """The field for teams with such sensors."""
-        wanted = {"robots": self.robots, "hit_points": self.hit_points, "sensors": sensors}
-        firing = {} if sensors == "opennero-2011" else {"firing": FIRING_OF[sensors]}
-        return find_nero(self.field, wanted | firing)
-
-
-FIRING_OF = {"opennero-2011": "2011", "opennero-2014": "2014", "nero-1": "aimed"}
+        own = {"sensors": sensors, "firing": FIRING_OF[sensors]}
+        return find_nero(self.field, {"robots": self.robots, "hit_points": self.hit_points} | own)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from neatq_envs.nero.scenario import NERO_TASKS, NeroScenario, Stage, find_stages
+from neatq_envs.nero.scenario import NERO_ACTIONS, NERO_TASKS, NeroScenario, Stage, find_stages
 from neatq_envs.nero.state import TeamBrains
 from neatq_envs.nero.torchrl_nero import NeroEnv
 from neatq_torch.kinds import ConfigError
 from neatq_torch.learning import CandidateHeads, Heads
 from neatq_torch.learning.heads import ValueRange
 from neatq_trainers.nero.brains import team_brains
-from neatq_trainers.nero.teams import read_team
+from neatq_trainers.nero.teams import FIRING_OF, read_team
 from neatq_trainers.world import World, return_range
 
 NERO = "nero"
@@ -68,9 +68,18 @@ def nero_config(kwargs: Mapping[str, Any]) -> NeroConfig:
     """The world of the task "nero" with keys of its fields, and `enemy` and `field`, changed."""
     changes = {name: value for name, value in kwargs.items() if name not in ("enemy", "field")}
     enemy = str(kwargs.get("enemy", "turrets"))
+    if "firing" in changes:
+        changes["firing"] = str(changes["firing"])  # a year, which is no number
     if enemy != "turrets":
         changes.setdefault("turrets", [])
     stages = find_stages(kwargs.get("field", NERO), changes)
+    for stage in stages:
+        own = stage.scenario
+        if own.firing != "2011" and "fire" not in NERO_ACTIONS[own.sensors]:
+            raise ConfigError(
+                f"firing: robots that sense {own.sensors!r} cannot ask for fire; expected "
+                f"--env-kwargs firing=2011, got {own.firing!r}"
+            )
     if enemy not in ENEMIES:
         _enemies(enemy, stages[0].scenario)  # so that a file that cannot be used is told now
         enemy = str(Path(enemy).resolve())
@@ -85,8 +94,8 @@ def _enemies(enemy: str, scenario: NeroScenario) -> tuple[TeamBrains, int] | Non
     if team.sensors != scenario.sensors:
         raise ConfigError(
             f"enemy: {team.name}: expected a team that senses {scenario.sensors!r}, as the "
-            f"learners do, got {team.sensors!r}; let these sense the same: --env-kwargs "
-            f"sensors={team.sensors}"
+            f"learners do, got {team.sensors!r}; let these do, too: --field battle, or "
+            f"--env-kwargs sensors={team.sensors} firing={FIRING_OF[team.sensors]}"
         )
     return team_brains([team], scenario.robots), scenario.robots
 

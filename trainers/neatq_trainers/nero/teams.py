@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Literal
 
 from neatq_envs.nero.scenario import NERO_ACTIONS, OBSERVATIONS
-from neatq_torch.genome import Genome
+from neatq_torch.genome import Genome, NodeKind
 from neatq_torch.interop.opennero import read_team_file
 from neatq_torch.kinds import ConfigError
 from neatq_torch.network.plan import Evaluation
 
+FIRING_OF = {"opennero-2011": "2011", "opennero-2014": "2014", "nero-1": "aimed"}
+"""By which law robots shoot that sense so."""
 BIAS_2011, BIAS_2014 = 0.3, 1.0
 """What the bias node of an OpenNERO network was: NERO_Battle's of 2011, and NERO's of 2014."""
 
@@ -50,6 +52,8 @@ class Team:
                     f"{OBSERVATIONS[self.sensors]} inputs and {outputs} outputs, as robots that "
                     f"sense {self.sensors!r} have, got {found[0]} and {found[1]}"
                 )
+            if not (genome.node_kind == NodeKind.BIAS).any():
+                raise ConfigError(f"{self.name}: genome {genome.genome_id}: it has no bias node")
 
 
 def read_team(path: Path) -> Team:
