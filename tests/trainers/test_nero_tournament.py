@@ -282,7 +282,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
             raise ConfigError(f"{path}: no such team")
         return team(path.name, ord(path.name))
 
-    monkeypatch.setattr(commands, "read_team", read)
+    monkeypatch.setattr(commands, "find_team", read)
     return ["t/a", "t/b", "t/c"]
 
 
