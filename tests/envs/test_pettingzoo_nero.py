@@ -233,9 +233,8 @@ def test_robots_that_always_do_the_same_fight_bit_for_bit_as_in_a_match() -> Non
             # Outputs that nothing reaches are 0: backwards, turning right, as fast as can be.
             env.step(dict.fromkeys(env.agents, np.array([-1.0, -0.2])))
         assert np.array_equal(env.field.pose.astype(np.float32), pose)
-        assert np.array_equal(
-            np.where(env.field.alive, np.maximum(2 - env.field.damage, 0), -1), left
-        )
+        points = np.maximum(2 - env.field.damage, 0)
+        assert np.array_equal(np.where(env.field.alive, points, -1), left)
         assert np.array_equal(env.field.shot, shot)
     assert (film.hit_points[-1] < 0).sum() > 5 and env.winner == film.result.winner
 
