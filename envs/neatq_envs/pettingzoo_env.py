@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -71,13 +72,7 @@ class TeamEnv(Worlds, ParallelEnv[str, np.ndarray, np.ndarray]):
         """Let one tick pass; actions, one for each agent, are clipped to the bounds."""
         if not self.agents:
             raise ValueError("step: all lives are over; call reset()")
-        if actions.keys() != set(self.agents):
-            missing = [agent for agent in self.agents if agent not in actions]
-            unknown = [agent for agent in actions if agent not in self.agents]
-            raise ValueError(
-                f"actions: expected one for each of {len(self.agents)} agents; "
-                f"missing: {missing}, unknown: {unknown}"
-            )
+        check_agents(self.agents, actions)
         arena = self.arena
         arena.step(np.stack([actions[agent] for agent in self.agents])[None])
         truncated = bool(arena.truncated[0, 0])
@@ -97,3 +92,14 @@ class TeamEnv(Worlds, ParallelEnv[str, np.ndarray, np.ndarray]):
     def _infos(self) -> Infos:
         pairs = zip(self.arena.distance[0].tolist(), self._poses[0], strict=True)
         return self._by_agent({"distance": distance, "pose": pose} for distance, pose in pairs)
+
+
+def check_agents(agents: Sequence[str], actions: Mapping[str, object]) -> None:
+    """Raise ValueError unless there is an action for each agent and for nobody else."""
+    if actions.keys() != set(agents):
+        missing = [agent for agent in agents if agent not in actions]
+        unknown = [agent for agent in actions if agent not in agents]
+        raise ValueError(
+            f"actions: expected one for each of {len(agents)} agents; "
+            f"missing: {missing}, unknown: {unknown}"
+        )

@@ -103,7 +103,50 @@ class RowsEnv(EnvBase):
         return Unbounded(shape=self._size(1), dtype=torch.int64)
 
 
-class ArenaEnv(RowsEnv):
+class FieldEnv(RowsEnv):
+    """Rows that are robots on fields; sub-classes give `_make` and `_observe`.
+
+    Attributes:
+        arena: The fields, as `_make` gives them: `reset`, `respawn` (of a mask), `step`, `reward`
+            [arenas, robots], `world_state` and `load_world_state`.
+    """
+
+    arena: Any
+    _restored = False
+
+    def _make(self, seeds: range) -> Any:
+        """The fields of seeds, one for each arena."""
+        raise NotImplementedError
+
+    def world_state(self) -> dict[str, Any]:
+        """The worlds as nested dicts of numpy arrays and JSON values."""
+        return self.arena.world_state()
+
+    def load_world_state(self, state: dict[str, Any]) -> None:
+        """Restore worlds; `reset()` without a mask then returns them until the next step."""
+        self.arena.load_world_state(state)
+        self._restored = True
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        if mask is not None:
+            self.arena.respawn(mask.reshape(self.batch_size).numpy())
+        elif not self._restored:
+            self.arena.reset()
+        return self._tensordict(self._observe())
+
+    def _act(self, actions: np.ndarray) -> torch.Tensor:
+        self._restored = False
+        self.arena.step(actions)
+        return single(self.arena.reward[..., None])
+
+    def _set_seed(self, seed: int | None) -> None:
+        first = 0 if seed is None else seed
+        self.arena = self._make(range(first, first + self.batch_size[0]))
+        self._restored = False
+
+
+class ArenaEnv(FieldEnv):
     """Robots that learn to reach a flag, as one TorchRL environment of [arenas, robots] rows.
 
     ## Description
@@ -169,8 +212,7 @@ itself included |
     def __init__(self, scenario: Scenario, *, arenas: int = 1, seed: int = 0) -> None:
         super().__init__(device=None, batch_size=torch.Size([arenas, scenario.robots]))
         self.scenario = scenario
-        self.arena = Arena(scenario, range(seed, seed + arenas))
-        self._restored = False
+        self.arena: Arena = self._make(range(seed, seed + arenas))
         schema = self.arena.schema
         inputs = self._size(len(schema.observations))
         observed = {
@@ -183,31 +225,12 @@ itself included |
         reward = Bounded(0.0, 1.0, shape=self._size(1), dtype=torch.float32)
         self._declare(schema.action_bounds(scenario), observed, reward)
 
-    def world_state(self) -> dict[str, Any]:
-        """The worlds as nested dicts of numpy arrays and JSON values; see `Arena.rebuild`."""
-        return self.arena.world_state()
-
-    def load_world_state(self, state: dict[str, Any]) -> None:
-        """Restore worlds; `reset()` without a mask then returns them until the next step."""
-        self.arena.load_world_state(state)
-        self._restored = True
+    def _make(self, seeds: range) -> Arena:
+        return Arena(self.scenario, seeds)
 
     def rebuild(self) -> None:
         """See `Arena.rebuild`."""
         self.arena.rebuild()
-
-    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        if mask is not None:
-            self.arena.respawn(mask.reshape(self.batch_size).numpy())
-        elif not self._restored:
-            self.arena.reset()
-        return self._tensordict(self._observe())
-
-    def _act(self, actions: np.ndarray) -> torch.Tensor:
-        self._restored = False
-        self.arena.step(actions)
-        return single(self.arena.reward[..., None])
 
     def _observe(self) -> dict[str, torch.Tensor]:
         # The arena replaces its arrays and never writes into them: those of the right type are
@@ -225,11 +248,6 @@ itself included |
             TERMINATED: torch.from_numpy(np.zeros_like(truncated)),
             TRUNCATED: torch.from_numpy(truncated.copy()),
         }
-
-    def _set_seed(self, seed: int | None) -> None:
-        first = 0 if seed is None else seed
-        self.arena = Arena(self.scenario, range(first, first + self.batch_size[0]))
-        self._restored = False
 
 
 def _carried(value: Any) -> Any:

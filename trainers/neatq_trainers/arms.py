@@ -32,7 +32,7 @@ from neatq_torch.learning import (
     learner_kinds,
 )
 from neatq_trainers.config import AS_IT_COMES, LIFE_TICKS, NetworkConfig, RunConfig
-from neatq_trainers.nero.nero_world import NERO, NeroConfig, nero_config
+from neatq_trainers.nero.nero_world import NERO, nero_config
 from neatq_trainers.worlds import (
     ArenaConfig,
     EnvConfig,
@@ -298,8 +298,8 @@ def _with_kinds(config: RunConfig, population: str | None, learner: str | None) 
         parts["population"] = population_kinds.config(population)()
         if not isinstance(parts["population"], RtNEATConfig):
             parts["learner"] = _having(config.learner, teacher_mutation=None, novelty=None)
-        if isinstance(config.world, ArenaConfig | NeroConfig):
-            life = config.world.scenario.lifetime_ticks or LIFE_TICKS
+        if config.world.lasting:
+            life = config.world.lifetime_ticks or LIFE_TICKS
             parts["population"] = _having(parts["population"], minimum_life_ticks=life)
         else:
             parts["population"] = _having(parts["population"], minimum_life_episodes=2)
@@ -337,9 +337,9 @@ def _has(values: Mapping[str, Any], path: str) -> bool:
 
 def _population(arm: Arm, world: WorldConfig) -> Any:
     """That of the arm; in the arena a life is a robot's, and generations have one."""
-    if arm.population is None or not isinstance(world, ArenaConfig | NeroConfig):
+    if arm.population is None or not world.lasting:
         return arm.population
-    life = world.scenario.lifetime_ticks or LIFE_TICKS
+    life = world.lifetime_ticks or LIFE_TICKS
     return _having(arm.population, minimum_life_ticks=life, episodes=1)
 
 

@@ -24,8 +24,7 @@ from neatq_torch.learning import (
     learner_kinds,
 )
 from neatq_torch.network import Evaluation
-from neatq_trainers.nero.nero_world import NeroConfig
-from neatq_trainers.worlds import ArenaConfig, EnvConfig, GymnasiumConfig, WorldConfig, world_kinds
+from neatq_trainers.worlds import EnvConfig, GymnasiumConfig, WorldConfig, world_kinds
 
 Normalization = Literal["running"]
 LoggerName = Literal["csv", "tensorboard"]
@@ -196,9 +195,8 @@ class RunConfig:
                 "until the other arenas have lived their generation (run one seed after the other, "
                 "or take the arm rtneat or neatq)"
             )
-        robots = self.world if isinstance(self.world, ArenaConfig | NeroConfig) else None
-        lasting = robots is not None and not robots.scenario.lifetime_ticks
-        if self.generational and lasting:
+        endless = self.world.lasting and not self.world.lifetime_ticks
+        if self.generational and endless:
             raise ConfigError(
                 "lifetime_ticks: expected above 0, got 0; generations need lives that end (the "
                 "arm rtneat does without generations)"
@@ -300,12 +298,8 @@ class RunConfig:
                 values[parents[0]] = {"kind": value, **own, **shared}
         life, judged = "world.scenario.lifetime_ticks", "population.minimum_life_ticks"
         own = values["population"] or {}
-        if (
-            life in changes
-            and judged not in changes
-            and isinstance(self.world, ArenaConfig | NeroConfig)
-        ):
-            before = self.world.scenario.lifetime_ticks or LIFE_TICKS
+        if life in changes and judged not in changes:
+            before = self.world.lifetime_ticks or LIFE_TICKS
             if own.get("minimum_life_ticks") == before:
                 own["minimum_life_ticks"] = changes[life] or LIFE_TICKS
         return RunConfig.from_dict(values)

@@ -24,12 +24,11 @@ from neatq_torch.kinds import ConfigError
 from neatq_trainers.callbacks import LOGS
 from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.lock import HOLDER, LOCK, RunFolderError
-from neatq_trainers.nero.nero_world import NeroConfig
 from neatq_trainers.rows import DistanceRow, NeroRow, ReturnRow, Row, csv_line, header, row_kind
 from neatq_trainers.run import State
 from neatq_trainers.saved import best_score, check_saved
 from neatq_trainers.workers import Snapshot
-from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig
+from neatq_trainers.worlds import GymnasiumConfig
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -355,9 +354,7 @@ def _unbegun(path: Path) -> bool:
 
 def life_ticks(config: RunConfig) -> int:
     """How much of a run its pictures show: one life, or 1000 ticks where lives have no end."""
-    world = config.world
-    robots = isinstance(world, ArenaConfig | NeroConfig)
-    return (world.scenario.lifetime_ticks if robots else 0) or 1000
+    return config.world.lifetime_ticks or 1000
 
 
 def load_run(path: Path | str) -> RunFolder:

@@ -3,10 +3,38 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 from neatq_torch.learning import Heads
 from neatq_torch.learning.heads import ValueRange
+
+
+class RobotsConfig:
+    """What configurations of worlds have in common whose robots live on.
+
+    Attributes:
+        scenario: The field, with `name`, `robots` and `lifetime_ticks`.
+    """
+
+    lengths: ClassVar = ("ticks",)
+    slots_name: ClassVar = "robots"
+    lasting: ClassVar = True
+    scenario: Any
+
+    @property
+    def slots(self) -> int | None:
+        """Robots in each arena."""
+        return self.scenario.robots
+
+    @property
+    def label(self) -> str:
+        """What it is called in names of files."""
+        return self.scenario.name
+
+    @property
+    def lifetime_ticks(self) -> int:
+        """Length of a life; 0: no limit."""
+        return self.scenario.lifetime_ticks
 
 
 class World(ABC):

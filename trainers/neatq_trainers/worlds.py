@@ -33,31 +33,18 @@ from neatq_torch.learning import CandidateHeads, DiscreteHeads, Heads
 from neatq_torch.learning.heads import ValueRange
 from neatq_torch.network import Evaluation, PopulationNetwork
 from neatq_trainers.nero.nero_world import NeroConfig, NeroWorld
-from neatq_trainers.world import World, return_range
+from neatq_trainers.world import RobotsConfig, World, return_range
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArenaConfig:
+class ArenaConfig(RobotsConfig):
     """Robots, walls and a flag.
 
     Attributes:
         scenario: The world; `--env-kwargs` changes its keys, such as robots=30.
     """
 
-    lengths: ClassVar = ("ticks",)
-    slots_name: ClassVar = "robots"
-    lasting: ClassVar = True
     scenario: Scenario = TASKS["wall"]
-
-    @property
-    def slots(self) -> int | None:
-        """Robots in each arena."""
-        return self.scenario.robots
-
-    @property
-    def label(self) -> str:
-        """What it is called in names of files."""
-        return self.scenario.name
 
     @property
     def schema(self) -> str:
@@ -83,6 +70,7 @@ class GymnasiumConfig:
     lengths: ClassVar = ("steps", "generations")
     slots_name: ClassVar = "world.slots"
     lasting: ClassVar = False
+    lifetime_ticks: ClassVar = 0
     id: tyro.conf.Suppress[str] = "CartPole-v1"
     kwargs: tyro.conf.Suppress[Mapping[str, Any]] = field(default_factory=dict)
     slots: int = 150
@@ -125,6 +113,7 @@ class EnvConfig:
     lengths: ClassVar = ("ticks",)
     slots_name: ClassVar = "slots"
     lasting: ClassVar = False
+    lifetime_ticks: ClassVar = 0
     slots: ClassVar[int | None] = None
     name: str = ""
     kwargs: Mapping[str, Any] = field(default_factory=dict)

@@ -29,6 +29,7 @@ from neatq_envs.nero.state import (
     walls_of,
 )
 from neatq_envs.nero.training import action_bounds
+from neatq_envs.pettingzoo_env import check_agents
 
 BATTLE_METADATA: dict[str, Any] = {
     "name": "nero_battle_v0",
@@ -193,13 +194,7 @@ class NeroBattle(ParallelEnv[str, np.ndarray, np.ndarray]):
 
     def _given(self, actions: dict[str, np.ndarray]) -> np.ndarray:
         """Actions as `kernels.tick` takes them, float64 [robots, 4]."""
-        if actions.keys() != set(self.agents):
-            missing = [agent for agent in self.agents if agent not in actions]
-            unknown = [agent for agent in actions if agent not in self.agents]
-            raise ValueError(
-                f"actions: expected one for each of {len(self.agents)} agents; "
-                f"missing: {missing}, unknown: {unknown}"
-            )
+        check_agents(self.agents, actions)
         given, names = np.zeros((len(self.field.team), 4)), NERO_ACTIONS[self.scenario.sensors]
         for agent, action in actions.items():
             values = np.asarray(action, np.float64)

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
-import numpy as np
 import torch
-from tensordict import TensorDictBase
 from torchrl.data import Bounded, Unbounded
 
 from neatq_envs.nero.scenario import NeroScenario, Stage
@@ -21,14 +18,14 @@ from neatq_envs.torchrl_env import (
     STEP_COUNT,
     TERMINATED,
     TRUNCATED,
-    RowsEnv,
+    FieldEnv,
     single,
 )
 
 MEASURE = "measures"
 
 
-class NeroEnv(RowsEnv):
+class NeroEnv(FieldEnv):
     """Robots that learn to fight, as one TorchRL environment of [arenas, robots] rows.
 
     Each arena is a field with a team of learners, turrets, and perhaps a team that does not learn;
@@ -64,8 +61,7 @@ class NeroEnv(RowsEnv):
         robots = stages[0].scenario.robots
         super().__init__(device=None, batch_size=torch.Size([arenas, robots]))
         self._stages, self._enemies = tuple(stages), enemies
-        self.arena = TrainingField(self._stages, range(seed, seed + arenas), enemies)
-        self._restored = False
+        self.arena: TrainingField = self._make(range(seed, seed + arenas))
         inputs = self._size(self.arena.observation.shape[-1])
         observed = {
             OBSERVATION: Bounded(0.0, 1.0, shape=inputs, dtype=torch.float32),
@@ -77,30 +73,11 @@ class NeroEnv(RowsEnv):
         reward = Bounded(0.0, 1.0, shape=self._size(1), dtype=torch.float32)
         self._declare(self.arena.bounds, observed, reward)
 
-    def world_state(self) -> dict[str, Any]:
-        """The worlds as nested dicts of numpy arrays and JSON values."""
-        return self.arena.world_state()
-
-    def load_world_state(self, state: dict[str, Any]) -> None:
-        """Restore worlds; `reset()` without a mask then returns them until the next step."""
-        self.arena.load_world_state(state)
-        self._restored = True
+    def _make(self, seeds: range) -> TrainingField:
+        return TrainingField(self._stages, seeds, self._enemies)
 
     def rebuild(self) -> None:
         """Do nothing: the arrays are all that the worlds are."""
-
-    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        if mask is not None:
-            self.arena.respawn(mask.reshape(self.batch_size).numpy())
-        elif not self._restored:
-            self.arena.reset()
-        return self._tensordict(self._observe())
-
-    def _act(self, actions: np.ndarray) -> torch.Tensor:
-        self._restored = False
-        self.arena.step(actions)
-        return single(self.arena.reward[..., None])
 
     def _observe(self) -> dict[str, torch.Tensor]:
         field = self.arena
@@ -115,9 +92,3 @@ class NeroEnv(RowsEnv):
             TERMINATED: torch.from_numpy(ends[0].copy()),
             TRUNCATED: torch.from_numpy(ends[1].copy()),
         }
-
-    def _set_seed(self, seed: int | None) -> None:
-        first = 0 if seed is None else seed
-        seeds: Sequence[int] = range(first, first + self.batch_size[0])
-        self.arena = TrainingField(self._stages, seeds, self._enemies)
-        self._restored = False

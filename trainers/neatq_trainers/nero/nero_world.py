@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from neatq_envs.nero.scenario import NERO_ACTIONS, NERO_TASKS, NeroScenario, Stage, find_stages
 from neatq_envs.nero.state import TeamBrains
@@ -15,7 +15,7 @@ from neatq_torch.learning import CandidateHeads, Heads
 from neatq_torch.learning.heads import ValueRange
 from neatq_trainers.nero.brains import team_brains
 from neatq_trainers.nero.teams import FIRING_OF, read_team
-from neatq_trainers.world import World, return_range
+from neatq_trainers.world import RobotsConfig, World, return_range
 
 NERO = "nero"
 """What the task is called."""
@@ -23,7 +23,7 @@ ENEMIES = ("turrets", "none")
 
 
 @dataclass(frozen=True, kw_only=True)
-class NeroConfig:
+class NeroConfig(RobotsConfig):
     """NERO's field.
 
     Attributes:
@@ -33,30 +33,24 @@ class NeroConfig:
             is beside them.
     """
 
-    lengths: ClassVar = ("ticks",)
-    slots_name: ClassVar = "robots"
-    lasting: ClassVar = True
     stages: tuple[Stage, ...] = (Stage(scenario=NERO_TASKS["nero"]),)
     enemy: str = "turrets"
 
     def __post_init__(self) -> None:
         if not self.enemy:
             raise ConfigError(f"enemy: expected {', '.join(ENEMIES)} or the path of a team file")
+        for stage in self.stages:
+            own = stage.scenario
+            if own.firing != "2011" and "fire" not in NERO_ACTIONS[own.sensors]:
+                raise ConfigError(
+                    f"firing: robots that sense {own.sensors!r} cannot ask for fire; expected "
+                    f"--env-kwargs firing=2011, got {own.firing!r}"
+                )
 
     @property
     def scenario(self) -> NeroScenario:
         """The field of the last stage."""
         return self.stages[-1].scenario
-
-    @property
-    def slots(self) -> int | None:
-        """Robots in each arena."""
-        return self.scenario.robots
-
-    @property
-    def label(self) -> str:
-        """What it is called in names of files."""
-        return self.scenario.name
 
     @property
     def schema(self) -> str:
@@ -73,13 +67,6 @@ def nero_config(kwargs: Mapping[str, Any]) -> NeroConfig:
     if enemy != "turrets":
         changes.setdefault("turrets", [])
     stages = find_stages(kwargs.get("field", NERO), changes)
-    for stage in stages:
-        own = stage.scenario
-        if own.firing != "2011" and "fire" not in NERO_ACTIONS[own.sensors]:
-            raise ConfigError(
-                f"firing: robots that sense {own.sensors!r} cannot ask for fire; expected "
-                f"--env-kwargs firing=2011, got {own.firing!r}"
-            )
     if enemy not in ENEMIES:
         _enemies(enemy, stages[0].scenario)  # so that a file that cannot be used is told now
         enemy = str(Path(enemy).resolve())
