@@ -11,6 +11,7 @@ import torch
 
 from benchmarks import (
     arenas,
+    battle,
     breeding,
     crowd,
     forward,
@@ -37,6 +38,7 @@ ROWS = {
     "arenas": arenas,
     "gymnasium": gymnasium,
     "crowd": crowd,
+    "battle": battle,
     "memory": memory,
     "startup": startup,
     "gpu": gpu,

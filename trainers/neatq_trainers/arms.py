@@ -275,6 +275,7 @@ def preset(
     config = RunConfig(
         task=task,
         arm=arm,
+        arenas=world.together,
         world=world,
         network=chosen.network,
         population=_population(chosen, world),

@@ -96,6 +96,7 @@ def _in_world(config: RunConfig, world: World, state: State | None, episodes: in
         normalization=normalization,
         metrics=metrics_of(config, populations, shape),
     )
+    world.join(run)
     run.begin_generation()
     if state is not None:
         with restoring():

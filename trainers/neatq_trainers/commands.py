@@ -133,6 +133,8 @@ def _chosen(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     first.add_argument("--reward", nargs="*", action="extend")
     first.add_argument("--enemy")
     first.add_argument("--field")
+    first.add_argument("--against", nargs="*", action="extend")
+    first.add_argument("--held-out", "--held_out", nargs="*", action="extend")
     try:
         return first.parse_known_args(arguments)
     except argparse.ArgumentError as error:
@@ -140,19 +142,20 @@ def _chosen(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
 
 
 def _of_nero(chosen: argparse.Namespace) -> dict[str, Any]:
-    """What --reward, --enemy and --field say, as keys of NERO's field.
+    """What the options of --task nero say, as keys of its world.
 
     Raises:
         ConfigError: If the task is another one, or a weight is none.
     """
-    given = {name: getattr(chosen, name) for name in ("reward", "enemy", "field")}
-    asked = [f"--{name}" for name, value in given.items() if value is not None]
+    names = ("reward", "enemy", "field", "against", "held_out")
+    given = {name: getattr(chosen, name) for name in names}
+    given = {name: value for name, value in given.items() if value is not None}
+    asked = [f"--{name.replace('_', '-')}" for name in given]
     if asked and chosen.task != NERO:
         raise ConfigError(f"{asked[0]}: it is for --task {NERO}; the task is {chosen.task}")
-    keys = {name: given[name] for name in ("enemy", "field") if given[name] is not None}
-    if chosen.reward is not None:
-        keys["reward_weights"] = assignments(chosen.reward)
-    return keys
+    if "reward" in given:
+        given["reward_weights"] = assignments(given.pop("reward"))
+    return given
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -165,6 +165,11 @@ class RunConfig:
             )
 
     def _check_parts(self) -> None:
+        if self.arenas % self.world.together:
+            raise ConfigError(
+                f"arenas: expected an even number, got {self.arenas}: populations that are each "
+                "other's rivals come in pairs"
+            )
         if self.network.normalization is not None:
             self._check_normalization()
         if getattr(self.learner, "teacher_mutation", None) is not None:
@@ -260,8 +265,13 @@ class RunConfig:
         return self.ticks_per_batch * math.ceil(STRIDE_TICKS / self.ticks_per_batch)
 
     def first_arenas(self, parts: int) -> list[int]:
-        """The first arena of each of so many parts, of nearly equal size."""
-        return [self.arenas * part // parts for part in range(parts)]
+        """The first arena of each of so many parts, of nearly equal size; rivals stay together."""
+        return [self.world.together * (self.groups * part // parts) for part in range(parts)]
+
+    @property
+    def groups(self) -> int:
+        """How many arenas, or groups of rivals, do not influence each other."""
+        return self.arenas // self.world.together
 
     def split(self, parts: int) -> list[RunConfig]:
         """The run as several runs, each with a part of its arenas."""

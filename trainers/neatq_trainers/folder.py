@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 CONFIG, METRICS, CHECKPOINT = "config.json", "metrics.csv", "checkpoint.npz"
 CHAMPION, CURVES, PICTURE = "champion.json", "curves.png", "champion.png"
 PATHS, TEAM, FILM = "arena.png", "team.gif", "champion.gif"
-SCALING, RESULT = "scaling.json", "result.json"
-FILES = (METRICS, CURVES, PATHS, TEAM, CHAMPION, SCALING, RESULT, PICTURE, FILM)
+SCALING, RESULT, ROUNDS = "scaling.json", "result.json", "rounds.csv"
+FILES = (METRICS, CURVES, PATHS, TEAM, CHAMPION, SCALING, RESULT, PICTURE, FILM, ROUNDS)
 """What a run may leave, in the order in which it is told."""
 _WRITTEN = (CONFIG, CHECKPOINT, *FILES)
 

@@ -17,7 +17,9 @@ from neatq_torch.evolution import Population
 from neatq_torch.evolution.parsimony import lowest_good
 from neatq_torch.genome import Genome
 from neatq_trainers.config import RunConfig
-from neatq_trainers.nero.nero_world import NeroConfig
+from neatq_trainers.nero.held_out import HELD_OUT_ROUNDS, share_of_wins
+from neatq_trainers.nero.nero_world import NeroConfig, NeroWorld
+from neatq_trainers.nero.teams import present_team
 from neatq_trainers.rows import ROW_TICKS, DistanceRow, NeroRow, ReturnRow, Row
 from neatq_trainers.run import Champion, Run, State
 from neatq_trainers.worlds import ArenaConfig, GymnasiumWorld
@@ -137,6 +139,19 @@ class NeroMetrics(RobotMetrics):
 
     def __init__(self, arenas: int) -> None:
         super().__init__(arenas, len(MEASURES) + 1)
+
+    def add(self, run: Run, batch: TensorDictBase, error: Tensor) -> list[Row]:
+        """See `Metrics`; now and then arenas fight teams that nobody trains against."""
+        rows, world = super().add(run, batch, error), run.world
+        if not isinstance(world, NeroWorld) or not world.held_out:
+            return rows
+        due, scenario = HELD_OUT_ROUNDS * world.config.round_ticks, world.config.scenario
+        for place, row in enumerate(rows):
+            if isinstance(row, NeroRow) and row.tick % due == 0:
+                team = present_team(run, row.arena, f"arena {row.arena}")
+                wins = share_of_wins(team, world.held_out, scenario)
+                rows[place] = row._replace(held_out_wins=wins)
+        return rows
 
     def _sum(
         self, following: TensorDictBase, ticks: slice, some: Sequence[Population | None]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,19 +25,23 @@ from neatq_envs.render import ShownFigure, animation, draw_paths, frame, plain_t
 from neatq_torch.atomic import write_atomic
 from neatq_torch.genome import Genome
 from neatq_trainers.build import build
+from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import (
     CHAMPION,
     CURVES,
     FILM,
     PATHS,
     PICTURE,
+    ROUNDS,
     TEAM,
     Columns,
     RunFolder,
     life_ticks,
 )
 from neatq_trainers.genome_figure import candidate_names, draw_genome
+from neatq_trainers.nero.league import RoundRow
 from neatq_trainers.nero.life_film import life_frames
+from neatq_trainers.nero.match_table import csv_text
 from neatq_trainers.nero.nero_world import NeroConfig
 from neatq_trainers.policy import ChampionPolicy, make_policy
 from neatq_trainers.rows import ROW_TICKS
@@ -56,6 +61,7 @@ _DISTANCES = (
     ("newborn_mean_distance", "tab:orange", "mean of the newborn"),
 )
 _FIGHTS = (("hits", "tab:green", "hits scored"), ("damage", "tab:red", "damage taken"))
+_HELD_OUT = (("held_out_wins", "tab:purple", "won against teams that training never meets"),)
 _AWAY = (
     ("enemy_distance", "tab:blue", "to the nearest enemy"),
     ("friend_distance", "tab:orange", "to the nearest friend"),
@@ -158,10 +164,14 @@ def draw_curves(metrics: Columns, title: str, *, one_by_one: bool = True) -> Fig
 
 def _draw_fights(metrics: Columns, title: str) -> Figure:
     """Hits and damage of a team on NERO's field, and how near it is to enemies and friends."""
-    figure = ShownFigure(figsize=(8, 6.4), layout="tight")
-    upper, lower = figure.subplots(2, sharex=True)
+    panels = _FIGHTS, _AWAY, _HELD_OUT
+    if np.isnan(metrics["held_out_wins"]).all():
+        panels = panels[:2]
+    figure = ShownFigure(figsize=(8, 3.2 * len(panels)), layout="tight")
+    drawn = figure.subplots(len(panels), sharex=True)
+    upper, lower = drawn[0], drawn[1]
     when = metrics["tick"] / ROW_TICKS
-    for axes, columns in ((upper, _FIGHTS), (lower, _AWAY)):
+    for axes, columns in zip(drawn, panels, strict=True):
         for name, colour, label in columns:
             if not np.isnan(metrics[name]).all():
                 _draw_curve(axes, when, metrics[name], colour, label)
@@ -172,7 +182,10 @@ def _draw_fights(metrics: Columns, title: str) -> Figure:
     plain_title(upper, title if arenas == 1 else f"{title}: mean and range of {arenas} arenas")
     upper.set_ylabel("of a robot in 100 ticks")
     lower.set_ylabel("mean distance (units)")
-    lower.set_xlabel(f"figure tick ({ROW_TICKS} simulation ticks)")
+    if len(panels) > 2:
+        drawn[2].set_ylabel("share of matches")
+        drawn[2].set_ylim(0, 1)
+    drawn[-1].set_xlabel(f"figure tick ({ROW_TICKS} simulation ticks)")
     return figure
 
 
@@ -237,14 +250,25 @@ def _draw_team(folder: RunFolder, world: ArenaConfig) -> None:
 
 
 def _draw_fighters(folder: RunFolder, champion: Genome | None) -> list[str]:
-    """Write the champion and a life of the team on NERO's field."""
+    """Write the champion, a life of the team on NERO's field and a league's rounds."""
     if champion is not None:
         save_figure(draw_genome(champion), folder.path / PICTURE)
     state = folder.read()
-    run = build(folder.config.split(len(state["runs"]))[0], state["runs"][0])
+    parts = folder.config.split(len(state["runs"]))
+    if rounds := sorted(_rounds(parts, state), key=lambda row: (row.tick, row.arena)):
+        write_atomic(folder.path / ROUNDS, csv_text([RoundRow._fields, *rounds]))
+    run = build(parts[0], state["runs"][0])
     frames = life_frames(run, life_ticks(folder.config), FRAME_TICKS)
     write_atomic(folder.path / TEAM, animation(frames))
     return []
+
+
+def _rounds(parts: Sequence[RunConfig], state: Mapping[str, Any]) -> Iterator[RoundRow]:
+    """The rounds of a league; none without one."""
+    for part, own in zip(parts, state["runs"], strict=True):
+        league = own["world"]["rounds"] or {"rows": []}
+        for arena, *rest in league["rows"]:
+            yield RoundRow(part.seed - parts[0].seed + arena, *rest)
 
 
 @torch.no_grad()

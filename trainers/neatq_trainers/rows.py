@@ -74,7 +74,8 @@ class NeroRow(NamedTuple):
 
     Hits, damage and deaths are those of a robot in 100 ticks, the mean over the team; distances (to
     the nearest enemy, the nearest friend and the flag, in units) and |speed| (units per tick) are
-    means over robots and ticks, empty where there is nothing to measure.
+    means over robots and ticks, empty where there is nothing to measure. `held_out_wins` is the
+    share of matches that the team won against teams that training never meets, if it was measured.
     """
 
     arena: int
@@ -92,6 +93,7 @@ class NeroRow(NamedTuple):
     mean_links: float | None
     td_loss: float | None
     epsilon: float
+    held_out_wins: float | None = None
 
 
 Row = DistanceRow | NeroRow | ReturnRow

@@ -89,7 +89,7 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
     steps: int | None = None,
     generations: int | None = None,
     until: float | None = None,
-    arenas: int = 1,
+    arenas: int | None = None,
     seed: int = 0,
     out: Path | str | None = None,
     workers: int | None = None,
@@ -109,7 +109,8 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
         steps: Length on a Gymnasium task, in environment steps of all genomes of an arena.
         generations: Length on a Gymnasium task.
         until: On a Gymnasium task: held-out return with which the best arena's champion ends it.
-        arenas: Independent populations side by side; arena i is the run with seed + i.
+        arenas: Independent populations side by side; arena i is the run with seed + i. Rivals come
+            in pairs. Default: 1, or a pair.
         seed: Of arena 0. The same seed gives the same run.
         out: The run folder; new or empty. Default: runs/TASK-ARM-seedSEED.
         workers: Processes; the results do not depend on it. Default: those that fit this machine.
@@ -134,6 +135,7 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
     config = preset(
         task, arm, env_kwargs=env_kwargs, population=population, learner=learner, length=length
     )
+    arenas = config.arenas if arenas is None else arenas
     config = config.changed({"until": until, "arenas": arenas, "seed": seed, **(settings or {})})
     refuse_without_effect(config, settings or {})
     return start(config, out, workers=workers, callbacks=callbacks)
@@ -150,7 +152,7 @@ def start(
     path = (default_folder(config) if out is None else Path(out)).absolute()
     check_new(path)
     count = _checked(workers, config)
-    parts = config.split(min(count, config.arenas))
+    parts = config.split(min(count, config.groups))
     everybody = [kind() for kind in BUILT_IN] + list(callbacks)
     with ending_by_signals(), ExitStack() as stack:
         discount = getattr(config.learner, "discount", 0.99)

@@ -27,6 +27,11 @@ class RobotsConfig:
         return self.scenario.robots
 
     @property
+    def together(self) -> int:
+        """How many arenas share a field."""
+        return 1
+
+    @property
     def label(self) -> str:
         """What it is called in names of files."""
         return self.scenario.name
@@ -71,6 +76,13 @@ class World(ABC):
     @abstractmethod
     def default_range(self, discount: float, *, normalized: bool) -> ValueRange:
         """The Q-values that its rewards allow."""
+
+    def join(self, run: Any) -> None:  # noqa: B027  (most worlds need nobody)
+        """Take notice of the run that lives here, when it is made.
+
+        Raises:
+            ConfigError: If it cannot live here.
+        """
 
     def begin(self, generation: int) -> None:  # noqa: B027  (most worlds go on)
         """Say which generation begins to live with the next reset."""

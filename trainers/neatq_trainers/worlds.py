@@ -70,6 +70,7 @@ class GymnasiumConfig:
     lengths: ClassVar = ("steps", "generations")
     slots_name: ClassVar = "world.slots"
     lasting: ClassVar = False
+    together: ClassVar = 1
     lifetime_ticks: ClassVar = 0
     id: tyro.conf.Suppress[str] = "CartPole-v1"
     kwargs: tyro.conf.Suppress[Mapping[str, Any]] = field(default_factory=dict)
@@ -113,6 +114,7 @@ class EnvConfig:
     lengths: ClassVar = ("ticks",)
     slots_name: ClassVar = "slots"
     lasting: ClassVar = False
+    together: ClassVar = 1
     lifetime_ticks: ClassVar = 0
     slots: ClassVar[int | None] = None
     name: str = ""

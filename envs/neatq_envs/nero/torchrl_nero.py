@@ -9,7 +9,7 @@ from torchrl.data import Bounded, Unbounded
 
 from neatq_envs.nero.scenario import NeroScenario, Stage
 from neatq_envs.nero.state import TeamBrains
-from neatq_envs.nero.training import MEASURES, TrainingField
+from neatq_envs.nero.training import MEASURES, Rounds, TrainingField
 from neatq_envs.torchrl_env import (
     DONE,
     OBSERVATION,
@@ -46,6 +46,7 @@ class NeroEnv(FieldEnv):
         arenas: How many.
         seed: That of arena 0.
         enemies: Networks of the enemies of one arena, and how many there are.
+        rounds: Draws enemies round after round instead; see `TrainingField`.
     """
 
     def __init__(
@@ -55,12 +56,13 @@ class NeroEnv(FieldEnv):
         arenas: int = 1,
         seed: int = 0,
         enemies: tuple[TeamBrains, int] | None = None,
+        rounds: Rounds | None = None,
     ) -> None:
         if isinstance(stages, NeroScenario):
             stages = (Stage(scenario=stages),)
         robots = stages[0].scenario.robots
         super().__init__(device=None, batch_size=torch.Size([arenas, robots]))
-        self._stages, self._enemies = tuple(stages), enemies
+        self._stages, self._enemies, self._rounds = tuple(stages), enemies, rounds
         self.arena: TrainingField = self._make(range(seed, seed + arenas))
         inputs = self._size(self.arena.observation.shape[-1])
         observed = {
@@ -74,7 +76,7 @@ class NeroEnv(FieldEnv):
         self._declare(self.arena.bounds, observed, reward)
 
     def _make(self, seeds: range) -> TrainingField:
-        return TrainingField(self._stages, seeds, self._enemies)
+        return TrainingField(self._stages, seeds, self._enemies, self._rounds)
 
     def rebuild(self) -> None:
         """Do nothing: the arrays are all that the worlds are."""

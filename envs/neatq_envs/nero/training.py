@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from neatq_envs.checks import ScenarioError
 from neatq_envs.nero import kernels
 from neatq_envs.nero.scenario import NERO_ACTIONS, OBSERVATIONS, NeroScenario, Stage
 from neatq_envs.nero.state import (
+    BRAIN,
     GIVEN,
     TURRET,
     Field,
@@ -38,18 +39,51 @@ _OF_FIELDS = tuple(name for name in Field._fields if name not in ("team", "contr
 _OF_BRAINS = ("value", "before", "active", "fired")
 _SAID = "observation", "measures", "pose", "reward_vector", "reward", "terminated"
 _STREAM = 8
+Enemies = tuple[TeamBrains, int] | None
+"""Who is against an arena: networks, and how many robots. None: arenas 2 k and 2 k + 1 are against
+each other, on one field."""
+
+
+class Rounds(Protocol):
+    """Draws round after round who is against whom.
+
+    Attributes:
+        ticks: Of a round.
+    """
+
+    ticks: int
+
+    @property
+    def lineup(self) -> Sequence[Enemies]:
+        """The enemies of each arena in this round."""
+        ...
+
+    def reset(self) -> None:
+        """Begin with the first round."""
+
+    def advance(self, tick: int, tally: np.ndarray) -> None:
+        """Begin the next round, after a tick; `tally` as `TrainingField` has it."""
+
+    def state(self) -> dict[str, Any]:
+        """All that it is: a nested dict of numpy arrays and JSON values."""
+        ...
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """Go on from `state`."""
 
 
 class TrainingField:
-    """Arenas [arenas] of learning robots [robots], of team 0, and whoever is against them.
+    """Arenas [arenas] of learning robots [robots], and whoever is against them.
 
-    Enemies of a team that does not learn begin anew where they die, as learners do.
+    Learners are team 0; where two arenas share a field, those of the second one are team 1. Enemies
+    of a team that does not learn begin anew where they die, as learners do.
 
     Args:
         stages: fields one after the other, of as many robots that sense the same; the last one
             has no end.
         seeds: one for each arena.
-        enemies: networks of the enemies of one arena, and how many there are.
+        enemies: those of every arena, the same all the time; None: turrets alone.
+        rounds: draws the enemies, in place of `enemies`; all lives end with a round.
 
     Attributes:
         scenario: the field of the present stage.
@@ -63,6 +97,7 @@ class TrainingField:
         terminated: who died, bool [arenas, robots].
         truncated: whose life is over, bool [arenas, robots].
         tick: ticks since the worlds were made.
+        tally: hits scored and damage taken by each arena in this round, int64 [arenas, 2].
         bounds: the least and the greatest action, float32 [actions], in physical units.
     """
 
@@ -71,10 +106,11 @@ class TrainingField:
         stages: Sequence[Stage],
         seeds: Sequence[int],
         enemies: tuple[TeamBrains, int] | None = None,
+        rounds: Rounds | None = None,
     ) -> None:
         self.stages, self.seeds = tuple(stages), tuple(seeds)
         self._ends = np.cumsum([stage.ticks for stage in self.stages[:-1]])
-        self._enemies = enemies if enemies is not None else (no_brains(), 0)
+        self._enemies, self._rounds = enemies or (no_brains(), 0), rounds
         self.shape = len(self.seeds), self.stages[0].scenario.robots
         self.bounds = action_bounds(self.stages[0].scenario)
         self.reset()
@@ -84,32 +120,51 @@ class TrainingField:
         self._rngs = [np.random.default_rng([seed, _STREAM]) for seed in self.seeds]
         self.tick = 0
         self.age_ticks = np.zeros(self.shape, np.int64)
+        if self._rounds is not None:
+            self._rounds.reset()
+        self._stage = -1
         self._enter(0)
-        for field, rng in zip(self.fields, self._rngs, strict=True):
-            self._begin(field, np.flatnonzero(field.control != TURRET), rng)
+        self._begin_all()
         self._end(np.zeros(self.shape, bool))
         self._look()
 
     def _enter(self, stage: int) -> None:
-        """Make the fields of a stage; nobody stands on them yet."""
-        self._stage, self.scenario = stage, self.stages[stage].scenario
-        self.weights = self.scenario.weights()
+        """Make the fields of a stage and of a round; nobody stands on them yet."""
+        self.scenario = self.stages[stage].scenario
+        if stage != self._stage:
+            self._stage, self.weights = stage, self.scenario.weights()
         self._ground, self._law = walls_of(self.scenario), law_of(self.scenario)
-        brains, count = self._enemies
-        self._brains = [_of_enemies(brains, self.scenario, count) for _ in self.seeds]
-        self.fields = [make_field(self.scenario, (self.shape[1], count)) for _ in self.seeds]
-        for field in self.fields:
-            field.control[: self.shape[1]] = GIVEN
+        arenas, robots = self.shape
+        lineup = [self._enemies] * arenas if self._rounds is None else self._rounds.lineup
+        self.fields: list[Field] = []
+        self._brains, self._arenas = [], []
+        for arena, enemies in enumerate(lineup):
+            if enemies is None and arena % 2:
+                continue  # it is on the field of the arena before
+            brains, count = enemies or (no_brains(), 0)
+            own = [robots, count] if enemies else [robots, robots]
+            field = make_field(self.scenario, own)
+            bare = len(field.team) - count - len(self.scenario.turrets)
+            field.control[:bare] = GIVEN
+            self.fields.append(field)
+            self._brains.append(_of_enemies(brains, bare, count, len(self.scenario.turrets)))
+            self._arenas.append(slice(arena, arena + bare // robots))
         self.reward_vector = np.zeros((*self.shape, 6))
         self.reward = np.zeros(self.shape)
+        self.tally = np.zeros((arenas, 2), np.int64)
+
+    def _worlds(self) -> Iterator[tuple[Field, slice, np.random.Generator]]:
+        """Fields, the arenas whose learners are there, and their chance."""
+        for field, arenas in zip(self.fields, self._arenas, strict=True):
+            yield field, arenas, self._rngs[arenas.start]
 
     def respawn(self, mask: np.ndarray) -> None:
         """Begin the lives of a mask, bool [arenas, robots], anew.
 
         The others keep what they observed at the end of the last tick.
         """
-        for arena, (field, rng) in enumerate(zip(self.fields, self._rngs, strict=True)):
-            self._begin(field, np.flatnonzero(mask[arena]), rng)
+        for field, arenas, rng in self._worlds():
+            self._begin(field, np.flatnonzero(_rows(mask, arenas)), rng)
         self.age_ticks = np.where(mask, 0, self.age_ticks)
         self._end(np.zeros(self.shape, bool))
         before = self.observation
@@ -125,33 +180,49 @@ class TrainingField:
         """
         if not np.isfinite(actions).all():
             raise ValueError("actions: expected finite numbers, got NaN or infinity")
-        given = np.zeros((*self.shape[:1], len(self.fields[0].team), 4))
         clipped = np.clip(actions.astype(np.float64), *self.bounds)
-        given[:, : self.shape[1], : actions.shape[-1]] = clipped
-        for arena, field in enumerate(self.fields):
-            own = self._ground, self._law, self._brains[arena], given[arena], self._rngs[arena]
-            kernels.tick(field, *own)
+        dead = np.zeros(self.shape, bool)
+        for (field, arenas, rng), brains in zip(self._worlds(), self._brains, strict=True):
+            own = _rows(clipped, arenas)
+            given = np.zeros((len(field.team), 4))
+            given[: len(own), : own.shape[-1]] = own
+            kernels.tick(field, self._ground, self._law, brains, given, rng)
+            _rows(dead, arenas)[:] = self._fallen(field)[: len(own)]
         self.tick += 1
         self.age_ticks = self.age_ticks + 1
         before = self.measures
-        dead = np.stack([field.damage >= self._law.hit_points for field in self.fields])
-        self._end(dead[:, : self.shape[1]])
+        self._end(dead)
         self._look()
         self._reward(before)
-        if self._raise_enemies(dead):  # whoever shot one is not blamed for where it begins anew
+        self.tally += self.measures[..., :2].sum(1).astype(np.int64)
+        if self._raise_enemies():  # whoever shot one is not blamed for where it begins anew
             self._look()
-        if self.tick in self._ends:
-            self._go_on()
+        self._go_on()
 
     def _go_on(self) -> None:
-        """Begin the next stage: all lives are over, and what they came to is still to be told."""
+        """Begin the next stage or round if it is time.
+
+        All lives are over then, and what they came to is still to be told.
+        """
+        next_round = self._rounds is not None and self.tick % self._rounds.ticks == 0
+        next_stage = self.tick in self._ends
+        if not (next_round or next_stage):
+            return
+        if self._rounds is not None and next_round:
+            self._rounds.advance(self.tick, self.tally)
         kept = {name: getattr(self, name) for name in _SAID}
-        self._enter(self._stage + 1)
-        for field, rng in zip(self.fields, self._rngs, strict=True):
-            self._begin(field, np.flatnonzero(field.control != TURRET), rng)
+        self._enter(self._stage + next_stage)
+        self._begin_all()
         for name, value in kept.items():
             setattr(self, name, value)
         self.truncated = ~self.terminated
+
+    def _begin_all(self) -> None:
+        for field, _, rng in self._worlds():
+            self._begin(field, np.flatnonzero(field.control != TURRET), rng)
+
+    def _fallen(self, field: Field) -> np.ndarray:
+        return field.damage >= self._law.hit_points
 
     def _begin(self, field: Field, robots: np.ndarray, rng: np.random.Generator) -> None:
         """Put robots at their spawns with headings, ready to act."""
@@ -160,13 +231,13 @@ class TrainingField:
         field.pose[robots, 2] = np.radians(degrees) - math.pi
         field.begun[robots] = True
 
-    def _raise_enemies(self, dead: np.ndarray) -> bool:
+    def _raise_enemies(self) -> bool:
         """Let dead enemies begin anew; whether there were any."""
         found = False
-        for arena, field in enumerate(self.fields):
-            fallen = np.flatnonzero(dead[arena] & (field.team == 1))
+        for field, _, rng in self._worlds():
+            fallen = np.flatnonzero(self._fallen(field) & (field.control == BRAIN))
             if len(fallen):
-                self._begin(field, fallen, self._rngs[arena])
+                self._begin(field, fallen, rng)
                 found = True
         return found
 
@@ -180,12 +251,16 @@ class TrainingField:
         seen = OBSERVATIONS[self.scenario.sensors]
         self.observation = np.zeros((*self.shape, seen), np.float32)
         self.measures = np.zeros((*self.shape, len(MEASURES)))
-        self.pose = np.stack([field.pose[: self.shape[1]] for field in self.fields])
-        for arena, field in enumerate(self.fields):
+        self.pose = np.zeros((*self.shape, 3))
+        for field, arenas, _ in self._worlds():
+            seen, measured, pose = (
+                _rows(one, arenas) for one in (self.observation, self.measures, self.pose)
+            )
+            pose[:] = field.pose[: len(pose)]
             kernels.correct(field, self._ground)
             kernels.find_centres(field)
-            kernels.look(field, self._ground, self._law, self.shape[1], self.observation[arena])
-            _measure(field, self.shape[1], self.measures[arena])
+            kernels.look(field, self._ground, self._law, len(seen), seen)
+            _measure(field, len(measured), measured)
 
     def _reward(self, before: np.ndarray) -> None:
         """Write the rewards of a tick.
@@ -218,6 +293,8 @@ class TrainingField:
             "generators": [rng.bit_generator.state for rng in self._rngs],
             "fields": [_arrays(field, _OF_FIELDS) for field in self.fields],
             "enemies": [_arrays(brains, _OF_BRAINS) for brains in self._brains],
+            "tally": self.tally.copy(),
+            "rounds": None if self._rounds is None else self._rounds.state(),
         }
 
     def load_world_state(self, state: Mapping[str, Any]) -> None:
@@ -232,8 +309,10 @@ class TrainingField:
                 f"the state is of {len(state['seeds'])} arenas of {state['stages']}, this has "
                 f"{len(self.seeds)} of {own}"
             )
+        if self._rounds is not None:
+            self._rounds.load_state(state["rounds"])
         self._enter(state["stage"])
-        self.weights = np.array(state["weights"])
+        self.weights, self.tally = np.array(state["weights"]), np.array(state["tally"])
         self.seeds, self.tick = tuple(state["seeds"]), state["tick"]
         for rng, saved in zip(self._rngs, state["generators"], strict=True):
             rng.bit_generator.state = saved
@@ -268,9 +347,13 @@ def _load(part: Any, names: Sequence[str], saved: Mapping[str, Any]) -> None:
         own[...] = value
 
 
-def _of_enemies(brains: TeamBrains, scenario: NeroScenario, count: int) -> TeamBrains:
-    """The networks of the enemies behind robots that have none, with values of their own."""
-    bare, turrets = scenario.robots, len(scenario.turrets)
+def _rows(values: np.ndarray, arenas: slice) -> np.ndarray:
+    """A view of values [arenas, robots, ...]: those of some arenas, [robots of all, ...]."""
+    return values[arenas].reshape(-1, *values.shape[2:])
+
+
+def _of_enemies(brains: TeamBrains, bare: int, count: int, turrets: int) -> TeamBrains:
+    """Networks of enemies behind `bare` robots that have none, with values of their own."""
     rows = {"bias": 0.0, "silent": False, "candidates": 1}
     changed: dict[str, np.ndarray] = {
         name: np.concatenate(

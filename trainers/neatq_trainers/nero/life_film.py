@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from PIL import Image, ImageDraw
@@ -22,12 +24,12 @@ CAPTION = 24
 def life_frames(run: Run, ticks: int, every: int) -> list[np.ndarray]:
     """Pictures of arena 0, uint8 [height, width, 3], every so many ticks of a life of the team.
 
-    All begin together, on the field of the last stage, without exploration and learning. The
-    networks of the run act; their recurrent state is used up.
+    All begin together, on the field of the last stage and against whomever a league begins with,
+    without exploration and learning. The networks of the run act; their recurrent state is used up.
     """
     world = run.config.world
     assert isinstance(world, NeroConfig)
-    last = NeroConfig(stages=world.stages[-1:], enemy=world.enemy)
+    last = replace(world, stages=world.stages[-1:], held_out=(), round_ticks=ticks + 1)
     env = NeroWorld(last, run.config.seeds).env
     painter, frames = Painter(last.scenario), []
     done = np.zeros(2, np.int64)  # hits and damage of the team

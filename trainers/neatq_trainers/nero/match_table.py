@@ -56,7 +56,7 @@ class MatchRow(NamedTuple):
 
 def write_matches(path: Path, rows: Iterable[MatchRow]) -> None:
     """Write a table, whole or not at all; OSError if that cannot be."""
-    write_atomic(path, _csv_text([MatchRow._fields, *rows]))
+    write_atomic(path, csv_text([MatchRow._fields, *rows]))
 
 
 def add_match(file: IO[bytes], row: MatchRow) -> None:
@@ -66,14 +66,15 @@ def add_match(file: IO[bytes], row: MatchRow) -> None:
         OSError: If it cannot be written; its `filename` is the file's.
     """
     try:
-        file.write(_csv_text([row]).encode())
+        file.write(csv_text([row]).encode())
         file.flush()
     except OSError as error:
         error.filename = file.name  # a full disk does not say which file
         raise
 
 
-def _csv_text(rows: Iterable[Iterable[object]]) -> str:
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Rows as lines of CSV."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()

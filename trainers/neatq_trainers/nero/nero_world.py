@@ -1,20 +1,21 @@
-"""NERO's field as a world of a run: a team that learns, against turrets or another team."""
+"""NERO's field as a world of a run: teams that learn, against turrets, teams or each other."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from neatq_envs.nero.scenario import NERO_ACTIONS, NERO_TASKS, NeroScenario, Stage, find_stages
-from neatq_envs.nero.state import TeamBrains
 from neatq_envs.nero.torchrl_nero import NeroEnv
-from neatq_torch.kinds import ConfigError
+from neatq_torch.kinds import ConfigError, check_fields
 from neatq_torch.learning import CandidateHeads, Heads
 from neatq_torch.learning.heads import ValueRange
 from neatq_trainers.nero.brains import team_brains
-from neatq_trainers.nero.teams import FIRING_OF, read_team
+from neatq_trainers.nero.league import HALL_GENOMES, LEAGUE, PRESENT, League
+from neatq_trainers.nero.teams import FIRING_OF, Team, fittest_team, read_team
 from neatq_trainers.world import RobotsConfig, World, return_range
 
 NERO = "nero"
@@ -31,14 +32,23 @@ class NeroConfig(RobotsConfig):
             `--env-kwargs` changes keys of all, such as robots=30.
         enemy: "turrets" (those of the scenario), "none", or the path of a team, which fights as it
             is beside them.
+        against: Opponents that change from round to round: "league" (a rival population as it is,
+            and what both once were), "present" (the rival alone), paths of teams; see `League`.
+        round_ticks: Length of a round, with which all lives end.
+        held_out: Paths of teams that no learner meets; how many matches are won against them is
+            measured every 10 rounds.
     """
 
     stages: tuple[Stage, ...] = (Stage(scenario=NERO_TASKS["nero"]),)
     enemy: str = "turrets"
+    against: tuple[str, ...] = ()
+    round_ticks: int = 1000
+    held_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.enemy:
             raise ConfigError(f"enemy: expected {', '.join(ENEMIES)} or the path of a team file")
+        check_fields(self, round_ticks="[1, inf]")
         for stage in self.stages:
             own = stage.scenario
             if own.firing != "2011" and "fire" not in NERO_ACTIONS[own.sensors]:
@@ -53,46 +63,82 @@ class NeroConfig(RobotsConfig):
         return self.stages[-1].scenario
 
     @property
+    def together(self) -> int:
+        """How many arenas share a field, as rivals."""
+        return 2 if {LEAGUE, PRESENT}.intersection(self.against) else 1
+
+    @property
     def schema(self) -> str:
         """Name of the observations."""
         return self.scenario.sensors
 
 
 def nero_config(kwargs: Mapping[str, Any]) -> NeroConfig:
-    """The world of the task "nero" with keys of its fields, and `enemy` and `field`, changed."""
-    changes = {name: value for name, value in kwargs.items() if name not in ("enemy", "field")}
-    enemy = str(kwargs.get("enemy", "turrets"))
+    """The world of the task "nero" with keys of its fields, and other attributes, changed."""
+    own = ("enemy", "field", "against", "round_ticks", "held_out")
+    changes = {name: value for name, value in kwargs.items() if name not in own}
+    against, held_out = (tuple(kwargs.get(name, ())) for name in ("against", "held_out"))
+    enemy = str(kwargs.get("enemy", "none" if against else "turrets"))
+    if against and enemy != "none":
+        raise ConfigError(f"enemy: expected none beside against {' '.join(against)}, got {enemy}")
     if "firing" in changes:
         changes["firing"] = str(changes["firing"])  # a year, which is no number
     if enemy != "turrets":
         changes.setdefault("turrets", [])
-    stages = find_stages(kwargs.get("field", NERO), changes)
-    if enemy not in ENEMIES:
-        _enemies(enemy, stages[0].scenario)  # so that a file that cannot be used is told now
-        enemy = str(Path(enemy).resolve())
-    return NeroConfig(stages=stages, enemy=enemy)
+    config = NeroConfig(
+        stages=find_stages(kwargs.get("field", NERO), changes),
+        enemy=enemy if enemy in ENEMIES else _absolute(enemy),
+        against=tuple(one if one in (LEAGUE, PRESENT) else _absolute(one) for one in against),
+        round_ticks=kwargs.get("round_ticks", NeroConfig.round_ticks),
+        held_out=tuple(map(_absolute, held_out)),
+    )
+    teams_of(config)  # so that a file that cannot be used is told now
+    return config
 
 
-def _enemies(enemy: str, scenario: NeroScenario) -> tuple[TeamBrains, int] | None:
-    """Networks of the enemies of one arena, and how many; None of turrets and nobody."""
-    if enemy in ENEMIES:
-        return None
-    team = read_team(Path(enemy))
-    if team.sensors != scenario.sensors:
+def _absolute(path: str) -> str:
+    return str(Path(path).resolve())
+
+
+def teams_of(config: NeroConfig) -> dict[str, list[Team]]:
+    """Teams of files, by what they are: "enemy", "against" and "held_out".
+
+    Raises:
+        ConfigError: If one cannot be read, or senses otherwise than the learners.
+    """
+    paths = {
+        "enemy": [config.enemy] if config.enemy not in ENEMIES else [],
+        "against": [one for one in config.against if one not in (LEAGUE, PRESENT)],
+        "held_out": config.held_out,
+    }
+    return {what: [_team(what, one, config) for one in names] for what, names in paths.items()}
+
+
+def _team(what: str, path: str, config: NeroConfig) -> Team:
+    team = read_team(Path(path))
+    if team.sensors != config.schema:
         raise ConfigError(
-            f"enemy: {team.name}: expected a team that senses {scenario.sensors!r}, as the "
+            f"{what}: {team.name}: expected a team that senses {config.schema!r}, as the "
             f"learners do, got {team.sensors!r}; let these do, too: --field battle, or "
             f"--env-kwargs sensors={team.sensors} firing={FIRING_OF[team.sensors]}"
         )
-    return team_brains([team], scenario.robots), scenario.robots
+    return team
 
 
 class NeroWorld(World):
     """NERO's field; its rewards are numbers within [0, 1], see `TrainingField`."""
 
     def __init__(self, config: NeroConfig, seeds: range) -> None:
-        enemies = _enemies(config.enemy, config.scenario)
-        self.env = NeroEnv(config.stages, arenas=len(seeds), seed=seeds[0], enemies=enemies)
+        self.config = config
+        teams, robots = teams_of(config), config.scenario.robots
+        enemies = (team_brains(teams["enemy"], robots), robots) if teams["enemy"] else None
+        self.held_out, self.league = teams["held_out"], None
+        if config.against:
+            names, ticks = config.against, config.round_ticks
+            self.league = League(names, teams["against"], robots=robots, seeds=seeds, ticks=ticks)
+        self.env = NeroEnv(
+            config.stages, arenas=len(seeds), seed=seeds[0], enemies=enemies, rounds=self.league
+        )
         self.inputs = self.env.arena.observation.shape[-1]
         self.reward_weights = self.present_weights
 
@@ -100,6 +146,14 @@ class NeroWorld(World):
     def present_weights(self) -> tuple[float, ...]:
         """Those of the stage, or whatever somebody made of `env.arena.weights`."""
         return tuple(self.env.arena.weights.tolist())
+
+    def join(self, run: Any) -> None:
+        """Let the league find its hall of fame."""
+        if self.league is None:
+            return
+        if run.network is None or run.config.network.double_activation:
+            raise ConfigError(f"against: the arm {run.config.arm} has no networks that could fight")
+        self.league.fittest = partial(fittest_team, run, HALL_GENOMES)
 
     def heads(self, candidates: int, value_range: ValueRange = (0.0, 1.0)) -> Heads:
         """Speed, turn, and what the sensors' robots do besides."""

@@ -8,10 +8,7 @@ from neatq_torch.kinds import ConfigError
 from neatq_trainers.build import build
 from neatq_trainers.folder import load_run
 from neatq_trainers.nero.nero_world import NERO, NeroConfig
-from neatq_trainers.nero.teams import Team, read_team
-
-RUN_BIAS = 1.0
-"""What bias nodes of networks are that were trained here."""
+from neatq_trainers.nero.teams import Team, present_team, read_team
 
 
 def find_team(path: Path | str) -> Team:
@@ -38,11 +35,4 @@ def _run_team(path: Path) -> Team:
     run = build(first, state["runs"][0])
     if run.network is None:
         raise ConfigError(f"{path}: the arm {config.arm} has tables instead of networks")
-    return Team(
-        name=path.resolve().name,
-        genomes=tuple(run.genome(0, slot) for slot in range(run.shape[1])),
-        sensors=config.world.scenario.sensors,
-        evaluation=config.network.evaluation,
-        candidates=run.heads.candidates,
-        bias=RUN_BIAS,
-    )
+    return present_team(run, 0, path.resolve().name)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
 
 from neatq_envs.nero.scenario import NERO_ACTIONS, OBSERVATIONS
 from neatq_torch.genome import Genome, NodeKind
@@ -12,10 +15,15 @@ from neatq_torch.interop.opennero import read_team_file
 from neatq_torch.kinds import ConfigError
 from neatq_torch.network.plan import Evaluation
 
+if TYPE_CHECKING:
+    from neatq_trainers.run import Run
+
 FIRING_OF = {"opennero-2011": "2011", "opennero-2014": "2014", "nero-1": "aimed"}
 """By which law robots shoot that sense so."""
 BIAS_2011, BIAS_2014 = 0.3, 1.0
 """What the bias node of an OpenNERO network was: NERO_Battle's of 2011, and NERO's of 2014."""
+RUN_BIAS = 1.0
+"""What bias nodes of networks are that were trained here."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,3 +79,22 @@ def read_team(path: Path) -> Team:
         bias=BIAS_2011 if two else BIAS_2014,
         notes=file.notes,
     )
+
+
+def present_team(run: Run, arena: int, name: str, slots: Iterable[int] | None = None) -> Team:
+    """The robots of an arena, or of some of its slots, with what they have learnt so far."""
+    slots = range(run.shape[1]) if slots is None else slots
+    return Team(
+        name=name,
+        genomes=tuple(run.genome(arena, slot) for slot in slots),
+        sensors=run.config.world.schema,
+        evaluation=run.config.network.evaluation,
+        candidates=run.heads.candidates,
+        bias=RUN_BIAS,
+    )
+
+
+def fittest_team(run: Run, count: int, arena: int, name: str) -> Team:
+    """The fittest robots of an arena."""
+    best = np.argsort(-run.populations[arena].merit, kind="stable")[:count]
+    return present_team(run, arena, name, best.tolist())
