@@ -1,8 +1,7 @@
 """One tick of a field on which teams of robots sense, think, shoot and move, compiled.
 
-The rules are OpenNERO's (mods/NERO, mods/NERO_Battle, source/rtneat): robots take their turns one
-after the other, blue's first; each senses, thinks, shoots, takes the damage since its last turn,
-and moves.
+The rules are OpenNERO's: robots take their turns one after the other, blue's first; each senses,
+thinks, shoots, takes the damage since its last turn, and moves.
 """
 
 from __future__ import annotations
@@ -80,11 +79,10 @@ def tick(
     field.hits[:], field.shot[:], field.speed[:] = 0, -1, 0.0
     values = np.empty(32)
     for robot in range(len(field.team)):
-        if not field.alive[robot]:
-            continue
         control = field.control[robot]
         if control != 2 and field.damage[robot] >= law.hit_points:
             field.alive[robot] = False
+        if not field.alive[robot]:
             continue
         if control == 2:
             _shoot(field, ground, law, robot, _target(field, robot), 1.0, rng)
@@ -92,8 +90,8 @@ def tick(
             field.pending[robot] = 0
             continue
         if control == 1:
-            target, given = _target(field, robot), actions[robot]
-            speed, turn, fire, ignore = given[0], given[1], given[2], given[3]
+            target = _target(field, robot)
+            speed, turn, fire, ignore = actions[robot]
         else:
             count, target = sense(values, field, ground, law, robot)
             speed, turn, fire, ignore = _think(brains, robot, values, count, law)
@@ -411,7 +409,10 @@ def _think(
     outputs = brains.outputs[brains.output[robot] : brains.output[robot + 1]]
     for _ in range(MOST_ACTIVATIONS):
         _activate_once(brains, robot, first + count + 1)
-        if not brains.silent[robot] or brains.fired[outputs].all():
+        waiting = False
+        for output in outputs:
+            waiting = waiting or not brains.fired[output]
+        if not (waiting and brains.silent[robot]):
             break
     candidates = brains.candidates[robot]
     actions = len(outputs) // candidates - (candidates > 1)
@@ -428,7 +429,7 @@ def _activate_once(brains: TeamBrains, robot: int, begin: int) -> None:
     """Let values go on by one link each, or, where links are not late, through the network."""
     end, silent = brains.node[robot + 1], brains.silent[robot]
     for node in range(begin, end):
-        total, reached = 0.0, not silent
+        total, reached = 0.0, not silent or brains.active[node]
         for link in range(brains.link[node], brains.link[node + 1]):
             source = brains.source[link]
             value = brains.before[source] if brains.late[link] else brains.value[source]
@@ -438,8 +439,7 @@ def _activate_once(brains: TeamBrains, robot: int, begin: int) -> None:
         if reached:
             brains.value[node] = _activated(total, brains.activation[node])
             brains.fired[node] = True
-    for node in range(brains.node[robot], end):
-        brains.before[node] = brains.value[node]
+    brains.before[brains.node[robot] : end] = brains.value[brains.node[robot] : end]
 
 
 @cached_njit()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from neatq_torch.genome.rules import NodeKind
 from neatq_trainers.nero.teams import Team
 
 _ORDER = NodeKind.INPUT, NodeKind.BIAS
+KNOWN_GENOMES = 10_000
+"""Whose networks are kept: in a tournament each team plays many matches."""
 
 
 def team_brains(teams: Sequence[Team], robots: int, bare: int = 0) -> TeamBrains:
@@ -21,7 +24,7 @@ def team_brains(teams: Sequence[Team], robots: int, bare: int = 0) -> TeamBrains
     A team of fewer genomes is cloned round-robin, one of more is cut, as in OpenNERO.
     """
     minds = [(team, team.genomes[i % len(team.genomes)]) for team in teams for i in range(robots)]
-    parts = [_brain(genome, team) for team, genome in minds]
+    parts = [_brain(genome, team.evaluation == "settle") for team, genome in minds]
     nodes = np.cumsum([0, *(len(part["activation"]) for part in parts), *[0] * bare])
     links = np.cumsum([0, *(len(part["weight"]) for part in parts)])
     outputs = np.cumsum([0, *(len(part["outputs"]) for part in parts), *[0] * bare])
@@ -54,9 +57,9 @@ def team_brains(teams: Sequence[Team], robots: int, bare: int = 0) -> TeamBrains
     )
 
 
-def _brain(genome: Genome, team: Team) -> dict[str, np.ndarray]:
+@lru_cache(KNOWN_GENOMES)
+def _brain(genome: Genome, settles: bool) -> dict[str, np.ndarray]:
     """One network: nodes in the order in which they are evaluated, sensors and bias first."""
-    settles = team.evaluation == "settle"
     order = _evaluated(genome, settles)
     row = np.empty(len(order), np.int64)
     row[order] = np.arange(len(order))
