@@ -16,6 +16,7 @@ from neatq_experiments import (
     foraging,
     gymnasium_tasks,
     neat_q,
+    nero_sliders,
     published,
     variants,
     xor,
@@ -31,6 +32,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     *double_pole.DOUBLE_POLE,
     *neat_q.NEAT_Q,
     *foraging.FORAGING,
+    nero_sliders.NERO_SLIDERS,
     gymnasium_tasks.GYMNASIUM,
 )
 

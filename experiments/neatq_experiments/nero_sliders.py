@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from neatq_envs.render import plain_title
 from neatq_experiments.compare.statistics import Estimate, mean_estimate
@@ -46,10 +47,11 @@ SLIDERS: dict[str, Slider] = {
 }
 FIELD: Mapping[str, Any] = {"flag": [550.0, 266.0]}
 """What is changed of the field `nero`; its turret is at (400, 450), the spawn at (400, 267)."""
-TICKS, QUICK_TICKS = 20_000, 400
+TICKS, QUICK_TICKS = 5_000, 400
 SIGNS = {"up": 1.0, "down": -1.0}
-LEARNERS = ("rtneat", "neatq")
-ARM_NAMES = tuple(f"{arm}-{name}-{end}" for name in SLIDERS for arm in LEARNERS for end in SIGNS)
+COLOURS = {"rtneat": "tab:gray", "neatq": "tab:green"}
+"""The arms, and how they are drawn."""
+ARM_NAMES = tuple(f"{arm}-{name}-{end}" for name in SLIDERS for arm in COLOURS for end in SIGNS)
 
 
 def run_slider(task: SeedTask) -> list[Result]:
@@ -90,16 +92,16 @@ def sliders_table(results: Results) -> str:
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, slider in SLIDERS.items():
-        for arm in LEARNERS:
+        for arm in COLOURS:
             found = moved(results, arm, name)
             if found is None:
                 continue
             seeds = len(results[f"{arm}-{name}-up"])
             cells = " | ".join(f"{one.value:.3g} [{one.low:.3g}, {one.high:.3g}]" for one in found)
-            right = slider.wanted * found[2].low > 0 and slider.wanted * found[2].high > 0
-            said = "yes" if right else "within the interval, not told"
-            if slider.wanted * found[2].high < 0 and slider.wanted * found[2].low < 0:
-                said = "no: the other way"
+            ends = sorted(slider.wanted * end for end in found[2][1:])
+            said = (
+                "yes" if ends[0] > 0 else "no: the other way" if ends[1] < 0 else "not told apart"
+            )
             lines.append(f"| {name} | {slider.label} | {arm} | {seeds} | {cells} | {said} |")
     return "\n".join(lines) + "\n"
 
@@ -108,23 +110,21 @@ def draw_sliders(results: Results) -> Figure:
     """A panel for each reward: its own measure at both ends of the slider, seeds and means."""
     figure = Figure(figsize=(9, 5.2), layout="constrained")
     for axes, (name, slider) in zip(figure.subplots(2, 3).flat, SLIDERS.items(), strict=True):
-        for number, arm in enumerate(LEARNERS):
-            colour = ("tab:gray", "tab:green")[number]
+        for shift, (arm, colour) in zip((-0.12, 0.12), COLOURS.items(), strict=True):
             ends = [results.get(f"{arm}-{name}-{end}", []) for end in ("down", "up")]
             values = [np.array([one[slider.measure] for one in part], float) for part in ends]
             if not all(part.size for part in values):
                 continue
             for place, part in enumerate(values):
-                at = place + 0.12 * (number - 0.5) * 2
-                axes.plot(np.full(part.size, at), part, "o", color=colour, ms=3, alpha=0.4)
-            means = [part.mean() for part in values]
-            axes.plot([-0.12 + 0.24 * number, 0.88 + 0.24 * number], means, color=colour, label=arm)
+                axes.plot(np.full(part.size, place + shift), part, "o", c=colour, ms=3, alpha=0.4)
+            axes.plot([shift, 1 + shift], [part.mean() for part in values], color=colour)
         axes.set_xticks([0, 1], ["-100 %", "+100 %"])
         axes.set_xlim(-0.4, 1.4)
         axes.set_ylabel(slider.label, fontsize=8)
         plain_title(axes, f"{name}: {'more' if slider.wanted > 0 else 'less'} is right")
         axes.grid(alpha=0.3)
-    figure.axes[0].legend(frameon=False, fontsize=8)
+    lines = [Line2D([], [], color=colour, label=arm) for arm, colour in COLOURS.items()]
+    figure.legend(handles=lines, loc="outside lower center", ncols=2, frameon=False)
     return figure
 
 

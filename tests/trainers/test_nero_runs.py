@@ -92,6 +92,19 @@ def test_a_team_of_a_run_fights_and_survives_a_file(tmp_path: Path) -> None:
     ]
 
 
+def test_each_arena_of_a_run_is_a_team(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    nq.train("nero", "rtneat", ticks=100, out=out, env_kwargs=SMALL, arenas=3, workers=2, seed=4)
+    alone = nq.train("nero", "rtneat", ticks=100, out=tmp_path / "2", env_kwargs=SMALL, seed=6)
+    team, same = find_team(f"{out}:2"), find_team(alone.folder)
+    assert (team.name, find_team(out).name) == ("run:2", "run")
+    assert [one.link_weight.tolist() for one in team.genomes] == [
+        one.link_weight.tolist() for one in same.genomes
+    ]
+    with pytest.raises(ConfigError, match="below 3"):
+        find_team(f"{out}:3")
+
+
 def test_a_team_may_be_the_enemy_of_learners_that_sense_the_same(tmp_path: Path) -> None:
     field = {**SMALL, "sensors": "opennero-2011", "firing": "2011"}
     first = nq.train("nero", "rtneat", env_kwargs=field, ticks=100, out=tmp_path / "run")

@@ -280,9 +280,14 @@ CURRICULA: dict[str, dict[str, Any]] = {
         "name": "drill",
         **_TRAINED,
         "stages": [
-            {"hit_points": 200, "reward_weights": {"approach_enemy": 1.0}},
-            {"hit_points": 200, "reward_weights": {"approach_enemy": 0.5, "hit_target": 1.0}},
+            {"ticks": 5000, "hit_points": 200, "reward_weights": {"approach_enemy": 1.0}},
             {
+                "ticks": 5000,
+                "hit_points": 200,
+                "reward_weights": {"approach_enemy": 0.5, "hit_target": 1.0},
+            },
+            {
+                "ticks": 5000,
                 "hit_points": 100,
                 "walls": [_BARRIER],
                 "reward_weights": {"approach_enemy": 0.5, "hit_target": 1.0},
@@ -296,4 +301,5 @@ CURRICULA: dict[str, dict[str, Any]] = {
     },
 }
 """Stages by name. "drill" is in the manner of Stanley, Bryant & Miikkulainen (2005): approach an
-enemy, hit it, get around a wall to do so, stand against several."""
+enemy, hit it, get around a wall to do so, stand against several; against a rival or another team
+there are no turrets, and the last stage is the battle."""
