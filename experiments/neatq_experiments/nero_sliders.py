@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from neatq_envs.render import plain_title
-from neatq_experiments.compare.statistics import Estimate, mean_estimate
+from neatq_experiments.compare.statistics import mean_estimate
 from neatq_experiments.experiment import Experiment
 from neatq_experiments.seeds import Result, Results, SeedTask, run_seeds
 from neatq_trainers.arms import preset
@@ -74,15 +74,14 @@ def run_slider(task: SeedTask) -> list[Result]:
     ]
 
 
-def moved(results: Results, arm: str, name: str) -> tuple[Estimate, Estimate, Estimate] | None:
-    """A reward's own measure at +100 %, at -100 %, and the difference of seeds that have both."""
-    up, down = (results.get(f"{arm}-{name}-{end}", []) for end in SIGNS)
-    both = min(len(up), len(down))
-    if not both:
-        return None
-    measure = SLIDERS[name].measure
-    values = [np.array([one[measure] for one in part[:both]], float) for part in (up, down)]
-    return mean_estimate(values[0]), mean_estimate(values[1]), mean_estimate(values[0] - values[1])
+def at_both_ends(results: Results, arm: str, name: str) -> np.ndarray:
+    """A reward's own measure at +100 % and at -100 %, of seeds that have both: [2, seeds]."""
+    up, down = (
+        {one["seed"]: one[SLIDERS[name].measure] for one in results.get(f"{arm}-{name}-{end}", [])}
+        for end in SIGNS
+    )
+    both = [seed for seed in up if seed in down]
+    return np.array([[end[seed] for seed in both] for end in (up, down)], float)
 
 
 def sliders_table(results: Results) -> str:
@@ -93,16 +92,16 @@ def sliders_table(results: Results) -> str:
     ]
     for name, slider in SLIDERS.items():
         for arm in COLOURS:
-            found = moved(results, arm, name)
-            if found is None:
+            up, down = at_both_ends(results, arm, name)
+            if not up.size:
                 continue
-            seeds = len(results[f"{arm}-{name}-up"])
+            found = [mean_estimate(one) for one in (up, down, up - down)]
             cells = " | ".join(f"{one.value:.3g} [{one.low:.3g}, {one.high:.3g}]" for one in found)
             ends = sorted(slider.wanted * end for end in found[2][1:])
             said = (
                 "yes" if ends[0] > 0 else "no: the other way" if ends[1] < 0 else "not told apart"
             )
-            lines.append(f"| {name} | {slider.label} | {arm} | {seeds} | {cells} | {said} |")
+            lines.append(f"| {name} | {slider.label} | {arm} | {up.size} | {cells} | {said} |")
     return "\n".join(lines) + "\n"
 
 
@@ -111,13 +110,12 @@ def draw_sliders(results: Results) -> Figure:
     figure = Figure(figsize=(9, 5.2), layout="constrained")
     for axes, (name, slider) in zip(figure.subplots(2, 3).flat, SLIDERS.items(), strict=True):
         for shift, (arm, colour) in zip((-0.12, 0.12), COLOURS.items(), strict=True):
-            ends = [results.get(f"{arm}-{name}-{end}", []) for end in ("down", "up")]
-            values = [np.array([one[slider.measure] for one in part], float) for part in ends]
-            if not all(part.size for part in values):
+            up, down = at_both_ends(results, arm, name)
+            if not up.size:
                 continue
-            for place, part in enumerate(values):
+            for place, part in enumerate((down, up)):
                 axes.plot(np.full(part.size, place + shift), part, "o", c=colour, ms=3, alpha=0.4)
-            axes.plot([shift, 1 + shift], [part.mean() for part in values], color=colour)
+            axes.plot([shift, 1 + shift], [down.mean(), up.mean()], color=colour)
         axes.set_xticks([0, 1], ["-100 %", "+100 %"])
         axes.set_xlim(-0.4, 1.4)
         axes.set_ylabel(slider.label, fontsize=8)

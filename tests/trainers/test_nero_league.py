@@ -119,7 +119,14 @@ def _one_stage() -> tuple[Any, ...]:
 
 
 def a_league(names: Sequence[str], given: Sequence[Team] = (), arenas: int = 2) -> League:
-    league = League(names, given, robots=2, seeds=range(arenas), ticks=100)
+    league = League(
+        given,
+        robots=2,
+        seeds=range(arenas),
+        ticks=100,
+        together=2 if names else 1,
+        remembers="league" in names,
+    )
     league.fittest = lambda arena, name: a_team(name, seed=arena)
     return league
 
@@ -181,6 +188,36 @@ def test_a_league_goes_on_from_its_state() -> None:
     assert other._drawn == league._drawn
 
 
+def test_rounds_are_whole_where_a_stage_ends_within() -> None:
+    stages = Stage(scenario=NEAR, ticks=70), Stage(scenario=NEAR)
+    rounds = Always([None, None], ticks=100)
+    field = TrainingField(stages, range(2), rounds=rounds)
+    hits = sum(field.measures[..., 0].sum() for _ in stepped(field, 100))
+    assert rounds.tallies[0][0] == 100
+    assert sum(scored for scored, _ in rounds.tallies[0][1]) == hits > 0
+
+
+def test_the_fittest_of_a_later_stage_are_fit_by_its_weights_after_a_resume(tmp_path: Path) -> None:
+    stages = [
+        {"ticks": 160, "reward_weights": {"approach_enemy": 1.0}},
+        {"reward_weights": {"stand_ground": 1.0}},
+    ]
+    kwargs = {**SMALL, "field": {"name": "two", "stages": stages}, "against": "league"}
+    settings = {"batch_ticks": 40}  # an entry of the hall falls into the first batch after
+    for name, ticks in (("whole", 640), ("parts", 280)):
+        out = tmp_path / name
+        nq.train("nero", "rtneat", ticks=ticks, out=out, env_kwargs=kwargs, settings=settings)
+    nq.resume(tmp_path / "parts", ticks=640)
+    whole, parts = (nq.load_run(tmp_path / name).read()["runs"][0] for name in ("whole", "parts"))
+    for one, other in zip(
+        whole["world"]["rounds"]["hall"], parts["world"]["rounds"]["hall"], strict=True
+    ):
+        np.testing.assert_array_equal(one["genomes"]["genome_id"], other["genomes"]["genome_id"])
+        np.testing.assert_array_equal(
+            one["genomes"]["link_weight"], other["genomes"]["link_weight"]
+        )
+
+
 @pytest.mark.parametrize("arm", ["rtneat", "neatq"])
 def test_a_run_in_a_league_goes_on_as_if_it_had_not_been_stopped(tmp_path: Path, arm: str) -> None:
     kwargs = {**SMALL, "against": ["league"]}
@@ -238,6 +275,26 @@ def test_a_run_is_measured_by_teams_that_it_never_meets(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("arm", "kwargs", "said"),
+    [
+        ("neat", {"against": ["league"]}, "generations"),
+        ("committed", {"against": ["present"]}, "twice"),
+        ("committed", {"held_out": ["team.gz"]}, "twice"),
+        ("rtneat", {"against": ["team.gz", "team.gz"]}, "different names"),
+        ("rtneat", {"held_out": ["."]}, "folder"),
+    ],
+)
+def test_who_cannot_play_in_a_league_is_told_at_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arm: str, kwargs: dict[str, Any], said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_team_file(a_team("a").genomes, tmp_path / "team.gz")
+    with pytest.raises(ConfigError, match=said):
+        nq.train("nero", arm, env_kwargs={**SMALL, **kwargs}, ticks=100, out="no")
+    assert not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize(
     ("kwargs", "arenas", "said"),
     [
         ({"against": ["league"]}, 3, "even"),
@@ -245,6 +302,9 @@ def test_a_run_is_measured_by_teams_that_it_never_meets(tmp_path: Path) -> None:
         ({"against": ["nobody.gz"]}, None, "nobody.gz"),
         ({"held_out": ["nobody.gz"]}, None, "nobody.gz"),
         ({"against": ["league"], "round_ticks": 0}, None, "round_ticks"),
+        ({"against": ["league"], "round_ticks": 1e3}, None, "round_ticks"),
+        ({"against": ["league"], "round_ticks": "1000"}, None, "round_ticks"),
+        ({"against": 5}, None, "against"),
     ],
 )
 def test_a_league_that_cannot_be_is_refused(

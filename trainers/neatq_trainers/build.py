@@ -123,6 +123,8 @@ def _restore(run: Run, state: State) -> None:
     run.metrics.load_state_dict(state["metrics"])
     if "world" in state:
         run.world.env.load_world_state(state["world"])
+    for population in run.populations:
+        population.weigh(run.world.present_weights)  # of the stage that goes on
     if run.teachers is not None:
         run.teachers.load_state_dict(state["teachers"])
     if run.normalization is not None:

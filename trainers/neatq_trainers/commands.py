@@ -133,8 +133,8 @@ def _chosen(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     first.add_argument("--reward", nargs="*", action="extend")
     first.add_argument("--enemy")
     first.add_argument("--field")
-    first.add_argument("--against", nargs="*", action="extend")
-    first.add_argument("--held-out", "--held_out", nargs="*", action="extend")
+    first.add_argument("--against", nargs="+", action="extend")
+    first.add_argument("--held-out", "--held_out", nargs="+", action="extend")
     try:
         return first.parse_known_args(arguments)
     except argparse.ArgumentError as error:

@@ -147,7 +147,7 @@ class NeroMetrics(RobotMetrics):
             return rows
         due, scenario = HELD_OUT_ROUNDS * world.config.round_ticks, world.config.scenario
         for place, row in enumerate(rows):
-            if isinstance(row, NeroRow) and row.tick % due == 0:
+            if isinstance(row, NeroRow) and row.tick % due < ROW_TICKS:
                 team = present_team(run, row.arena, f"arena {row.arena}")
                 wins = share_of_wins(team, world.held_out, scenario)
                 rows[place] = row._replace(held_out_wins=wins)

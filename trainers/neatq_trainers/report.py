@@ -165,7 +165,7 @@ def draw_curves(metrics: Columns, title: str, *, one_by_one: bool = True) -> Fig
 def _draw_fights(metrics: Columns, title: str) -> Figure:
     """Hits and damage of a team on NERO's field, and how near it is to enemies and friends."""
     panels = _FIGHTS, _AWAY, _HELD_OUT
-    if np.isnan(metrics["held_out_wins"]).all():
+    if np.isnan(metrics.get("held_out_wins", np.nan)).all():
         panels = panels[:2]
     figure = ShownFigure(figsize=(8, 3.2 * len(panels)), layout="tight")
     drawn = figure.subplots(len(panels), sharex=True)

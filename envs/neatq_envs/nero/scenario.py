@@ -301,5 +301,5 @@ CURRICULA: dict[str, dict[str, Any]] = {
     },
 }
 """Stages by name. "drill" is in the manner of Stanley, Bryant & Miikkulainen (2005): approach an
-enemy, hit it, get around a wall to do so, stand against several; against a rival or another team
-there are no turrets, and the last stage is the battle."""
+enemy, hit it, get around a wall to do so, stand against several. Where a team is the enemy there
+are no turrets."""

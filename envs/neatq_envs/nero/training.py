@@ -97,7 +97,8 @@ class TrainingField:
         terminated: who died, bool [arenas, robots].
         truncated: whose life is over, bool [arenas, robots].
         tick: ticks since the worlds were made.
-        tally: hits scored and damage taken by each arena in this round, int64 [arenas, 2].
+        tally: hits scored and damage taken by each arena in this round (without rounds: so far),
+            int64 [arenas, 2].
         bounds: the least and the greatest action, float32 [actions], in physical units.
     """
 
@@ -120,6 +121,7 @@ class TrainingField:
         self._rngs = [np.random.default_rng([seed, _STREAM]) for seed in self.seeds]
         self.tick = 0
         self.age_ticks = np.zeros(self.shape, np.int64)
+        self.tally = np.zeros((len(self.seeds), 2), np.int64)
         if self._rounds is not None:
             self._rounds.reset()
         self._stage = -1
@@ -142,16 +144,14 @@ class TrainingField:
             if enemies is None and arena % 2:
                 continue  # it is on the field of the arena before
             brains, count = enemies or (no_brains(), 0)
-            own = [robots, count] if enemies else [robots, robots]
-            field = make_field(self.scenario, own)
-            bare = len(field.team) - count - len(self.scenario.turrets)
+            bare = robots if enemies else 2 * robots
+            field = make_field(self.scenario, [robots, count if enemies else robots])
             field.control[:bare] = GIVEN
             self.fields.append(field)
             self._brains.append(_of_enemies(brains, bare, count, len(self.scenario.turrets)))
             self._arenas.append(slice(arena, arena + bare // robots))
         self.reward_vector = np.zeros((*self.shape, 6))
         self.reward = np.zeros(self.shape)
-        self.tally = np.zeros((arenas, 2), np.int64)
 
     def _worlds(self) -> Iterator[tuple[Field, slice, np.random.Generator]]:
         """Fields, the arenas whose learners are there, and their chance."""
@@ -210,6 +210,7 @@ class TrainingField:
             return
         if self._rounds is not None and next_round:
             self._rounds.advance(self.tick, self.tally)
+            self.tally = np.zeros_like(self.tally)
         kept = {name: getattr(self, name) for name in _SAID}
         self._enter(self._stage + next_stage)
         self._begin_all()

@@ -19,7 +19,7 @@ from neatq_trainers.nero.brains import team_brains
 from neatq_trainers.nero.teams import Team
 
 LEAGUE, PRESENT = "league", "present"
-"""Opponents by name: the rival as it is with the hall of fame, and the rival alone."""
+"""Opponents by name: the rival as it is and a hall of fame; the rival alone."""
 HALL_ROUNDS = 4
 """From one entry of the hall of fame to the next."""
 HALL_GENOMES = 10
@@ -28,10 +28,11 @@ PRESENT_SHARE = 0.5
 """Of rounds against the rival as it is, once there is anybody else."""
 HARDNESS = 2.0
 """A team is met with a chance that grows as (1 - share of rounds won against it) ^ HARDNESS."""
-MEMORY = 0.25
+WIN_RATE_STEP = 0.25
 """What the last round counts in that share."""
+RIVAL_NAME = "rival"
 _STREAM = 10
-RIVAL = -1
+_RIVAL = -1
 
 
 class RoundRow(NamedTuple):
@@ -59,38 +60,38 @@ class League:
     """Draws opponents; see `Rounds`.
 
     Args:
-        names: Of opponents: "league" or "present".
         given: Teams that do not learn.
         robots: In a team.
         seeds: One for each arena; those of a pair of rivals follow each other.
         ticks: Of a round.
+        together: 2 where arenas 2 k and 2 k + 1 are each other's rivals, else 1.
+        remembers: Whether there is a hall of fame.
 
     Attributes:
         fittest: Gives the fittest of an arena as a team of a name; set by whoever has them.
-        together: Arenas that are each other's rivals.
         rows: Of all rounds that are over.
     """
 
     def __init__(
         self,
-        names: Sequence[str],
         given: Sequence[Team],
         *,
         robots: int,
         seeds: Sequence[int],
         ticks: int,
+        together: int = 1,
+        remembers: bool = False,
     ) -> None:
         self.ticks = ticks
         self.fittest: Callable[[int, str], Team] = _nobody
-        self._hall_grows = LEAGUE in names
-        self.together = 2 if self._hall_grows or PRESENT in names else 1
+        self._together, self._remembers = together, remembers
         self._given, self._robots, self._seeds = tuple(given), robots, tuple(seeds)
         self.reset()
 
     def reset(self) -> None:
         """Begin with the first round."""
         self._rngs = [
-            np.random.default_rng([seed, _STREAM]) for seed in self._seeds[:: self.together]
+            np.random.default_rng([seed, _STREAM]) for seed in self._seeds[:: self._together]
         ]
         self.rows: list[RoundRow] = []
         self._teams = list(self._given)
@@ -101,7 +102,7 @@ class League:
     @property
     def lineup(self) -> list[Enemies]:
         """The enemies of each arena in this round."""
-        return [None if one == RIVAL else self._made[one] for one in self._drawn]
+        return [None if one == _RIVAL else self._made[one] for one in self._drawn]
 
     def advance(self, tick: int, tally: np.ndarray) -> None:
         """Note how a round ended, hits and damage int64 [arenas, 2], and draw the next."""
@@ -110,17 +111,17 @@ class League:
             won = 0.5 * (1 + float(np.sign(hits - damage)))
             name = self._name(arena, against)
             self.rows.append(RoundRow(arena, tick, name, hits, damage, won))
-            if against != RIVAL:
-                self._wins[arena, against] += MEMORY * (won - self._wins[arena, against])
-        if self._hall_grows and tick // self.ticks % HALL_ROUNDS == 0:
+            if against != _RIVAL:
+                self._wins[arena, against] += WIN_RATE_STEP * (won - self._wins[arena, against])
+        if self._remembers and tick // self.ticks % HALL_ROUNDS == 0:
             for arena in range(len(self._seeds)):
                 self._add(self.fittest(arena, f"at {tick}"))
         self._draw()
 
     def _name(self, arena: int, against: int) -> str:
         """What an opponent of an arena is called."""
-        if against == RIVAL:
-            return "rival"
+        if against == _RIVAL:
+            return RIVAL_NAME
         whose = ""
         if against >= len(self._given):
             whose = "itself " if self._arena_of(against) == arena else "rival "
@@ -141,11 +142,11 @@ class League:
     def _draw(self) -> None:
         self._drawn: list[int] = []
         for pair, rng in enumerate(self._rngs):
-            first = self.together * pair
-            arenas = range(first, first + self.together)
+            first = self._together * pair
+            arenas = range(first, first + self._together)
             known = self._known_to(arenas)
-            if self.together == 2 and (not known or rng.random() < PRESENT_SHARE):
-                self._drawn += [RIVAL, RIVAL]
+            if self._together == 2 and (not known or rng.random() < PRESENT_SHARE):
+                self._drawn += [_RIVAL, _RIVAL]
                 continue
             for arena in arenas:
                 weight = np.maximum(1 - self._wins[arena, known], 0.01) ** HARDNESS

@@ -10,11 +10,11 @@ from typing import Any
 
 from neatq_envs.nero.scenario import NERO_ACTIONS, NERO_TASKS, NeroScenario, Stage, find_stages
 from neatq_envs.nero.torchrl_nero import NeroEnv
-from neatq_torch.kinds import ConfigError, check_fields
+from neatq_torch.kinds import ConfigError
 from neatq_torch.learning import CandidateHeads, Heads
 from neatq_torch.learning.heads import ValueRange
 from neatq_trainers.nero.brains import team_brains
-from neatq_trainers.nero.league import HALL_GENOMES, LEAGUE, PRESENT, League
+from neatq_trainers.nero.league import HALL_GENOMES, LEAGUE, PRESENT, RIVAL_NAME, League
 from neatq_trainers.nero.teams import FIRING_OF, Team, fittest_team, read_team
 from neatq_trainers.world import RobotsConfig, World, return_range
 
@@ -31,7 +31,7 @@ class NeroConfig(RobotsConfig):
         stages: The field, or several one after the other, of which the last has no end;
             `--env-kwargs` changes keys of all, such as robots=30.
         enemy: "turrets" (those of the scenario), "none", or the path of a team, which fights as it
-            is beside them.
+            is.
         against: Opponents that change from round to round: "league" (a rival population as it is,
             and what both once were), "present" (the rival alone), paths of teams; see `League`.
         round_ticks: Length of a round, with which all lives end.
@@ -48,7 +48,11 @@ class NeroConfig(RobotsConfig):
     def __post_init__(self) -> None:
         if not self.enemy:
             raise ConfigError(f"enemy: expected {', '.join(ENEMIES)} or the path of a team file")
-        check_fields(self, round_ticks="[1, inf]")
+        if type(self.round_ticks) is not int or self.round_ticks < 1:
+            raise ConfigError(f"round_ticks: expected a whole number >= 1, got {self.round_ticks}")
+        if self.against and self.enemy != "none":
+            known = " ".join(self.against)
+            raise ConfigError(f"enemy: expected none beside against {known}, got {self.enemy}")
         for stage in self.stages:
             own = stage.scenario
             if own.firing != "2011" and "fire" not in NERO_ACTIONS[own.sensors]:
@@ -77,10 +81,8 @@ def nero_config(kwargs: Mapping[str, Any]) -> NeroConfig:
     """The world of the task "nero" with keys of its fields, and other attributes, changed."""
     own = ("enemy", "field", "against", "round_ticks", "held_out")
     changes = {name: value for name, value in kwargs.items() if name not in own}
-    against, held_out = (tuple(kwargs.get(name, ())) for name in ("against", "held_out"))
+    against, held_out = (_names(name, kwargs.get(name, ())) for name in ("against", "held_out"))
     enemy = str(kwargs.get("enemy", "none" if against else "turrets"))
-    if against and enemy != "none":
-        raise ConfigError(f"enemy: expected none beside against {' '.join(against)}, got {enemy}")
     if "firing" in changes:
         changes["firing"] = str(changes["firing"])  # a year, which is no number
     if enemy != "turrets":
@@ -96,6 +98,14 @@ def nero_config(kwargs: Mapping[str, Any]) -> NeroConfig:
     return config
 
 
+def _names(key: str, value: Any) -> list[str]:
+    """Opponents that somebody named, one or several."""
+    several = [value] if isinstance(value, str | Path) else value
+    if not isinstance(several, list | tuple):
+        raise ConfigError(f"{key}: expected names or paths of teams, got {value!r}")
+    return [str(one) for one in several]
+
+
 def _absolute(path: str) -> str:
     return str(Path(path).resolve())
 
@@ -104,17 +114,26 @@ def teams_of(config: NeroConfig) -> dict[str, list[Team]]:
     """Teams of files, by what they are: "enemy", "against" and "held_out".
 
     Raises:
-        ConfigError: If one cannot be read, or senses otherwise than the learners.
+        ConfigError: If one cannot be read, senses otherwise than the learners, or is called as
+            another opponent is.
     """
     paths = {
         "enemy": [config.enemy] if config.enemy not in ENEMIES else [],
         "against": [one for one in config.against if one not in (LEAGUE, PRESENT)],
         "held_out": config.held_out,
     }
-    return {what: [_team(what, one, config) for one in names] for what, names in paths.items()}
+    teams = {what: [_team(what, one, config) for one in names] for what, names in paths.items()}
+    for what, some in teams.items():
+        names = [RIVAL_NAME, *(team.name for team in some)]
+        for name in names:
+            if names.count(name) > 1:
+                raise ConfigError(f"{what}: {name}: expected opponents of different names")
+    return teams
 
 
 def _team(what: str, path: str, config: NeroConfig) -> Team:
+    if Path(path).is_dir():
+        raise ConfigError(f"{what}: {path}: expected a team file of OpenNERO, got a folder")
     team = read_team(Path(path))
     if team.sensors != config.schema:
         raise ConfigError(
@@ -134,8 +153,14 @@ class NeroWorld(World):
         enemies = (team_brains(teams["enemy"], robots), robots) if teams["enemy"] else None
         self.held_out, self.league = teams["held_out"], None
         if config.against:
-            names, ticks = config.against, config.round_ticks
-            self.league = League(names, teams["against"], robots=robots, seeds=seeds, ticks=ticks)
+            self.league = League(
+                teams["against"],
+                robots=robots,
+                seeds=seeds,
+                ticks=config.round_ticks,
+                together=config.together,
+                remembers=LEAGUE in config.against,
+            )
         self.env = NeroEnv(
             config.stages, arenas=len(seeds), seed=seeds[0], enemies=enemies, rounds=self.league
         )
@@ -149,10 +174,20 @@ class NeroWorld(World):
 
     def join(self, run: Any) -> None:
         """Let the league find its hall of fame."""
+        if not self.config.against and not self.held_out:
+            return
+        if run.config.network.double_activation:
+            raise ConfigError(
+                f"against, held_out: the networks of the arm {run.config.arm} are activated twice "
+                "a tick, which no battle knows"
+            )
         if self.league is None:
             return
-        if run.network is None or run.config.network.double_activation:
-            raise ConfigError(f"against: the arm {run.config.arm} has no networks that could fight")
+        if LEAGUE in self.config.against and run.config.generational:
+            raise ConfigError(
+                f"against: expected {PRESENT} or team files: in the generations of the arm "
+                f"{run.config.arm} nobody is known as fit before all are replaced"
+            )
         self.league.fittest = partial(fittest_team, run, HALL_GENOMES)
 
     def heads(self, candidates: int, value_range: ValueRange = (0.0, 1.0)) -> Heads:

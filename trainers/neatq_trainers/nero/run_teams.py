@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from bisect import bisect
+from itertools import chain
 from pathlib import Path
 
+from neatq_torch.genome import Genome, unpack_genomes
 from neatq_torch.kinds import ConfigError
-from neatq_trainers.build import build
+from neatq_torch.network import Evaluation, PopulationNetwork
 from neatq_trainers.folder import load_run
 from neatq_trainers.nero.nero_world import NERO, NeroConfig
-from neatq_trainers.nero.teams import Team, present_team, read_team
+from neatq_trainers.nero.teams import Team, read_team, team_of_run
+from neatq_trainers.run import State
+from neatq_trainers.saved import restoring
 
 
 def find_team(path: Path | str) -> Team:
@@ -37,9 +41,17 @@ def _run_team(path: Path, arena: int, name: str) -> Team:
     state = folder.read()
     if arena >= config.arenas:
         raise ConfigError(f"{path}: expected an arena below {config.arenas}, got {arena}")
-    parts = len(state["runs"])
-    part = bisect(config.first_arenas(parts), arena) - 1
-    run = build(config.split(parts)[part], state["runs"][part])
-    if run.network is None:
-        raise ConfigError(f"{path}: the arm {config.arm} has tables instead of networks")
-    return present_team(run, arena - config.first_arenas(parts)[part], name)
+    firsts = config.first_arenas(len(state["runs"]))
+    part = bisect(firsts, arena) - 1
+    with restoring(path):
+        genomes = _learnt(state["runs"][part], config.network.evaluation, arena - firsts[part])
+    return team_of_run(config, genomes, name)
+
+
+def _learnt(state: State, evaluation: Evaluation, arena: int) -> list[Genome]:
+    """The genomes of an arena with what their robots have learnt."""
+    populations = [unpack_genomes(one["genomes"]) for one in state["populations"]]
+    network = PopulationNetwork(list(chain(*populations)), evaluation=evaluation)
+    network.load_weights(state["weight"])
+    first = sum(map(len, populations[:arena]))
+    return [network.genome(first + slot) for slot in range(len(populations[arena]))]

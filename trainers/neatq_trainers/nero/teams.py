@@ -16,6 +16,7 @@ from neatq_torch.kinds import ConfigError
 from neatq_torch.network.plan import Evaluation
 
 if TYPE_CHECKING:
+    from neatq_trainers.config import RunConfig
     from neatq_trainers.run import Run
 
 FIRING_OF = {"opennero-2011": "2011", "opennero-2014": "2014", "nero-1": "aimed"}
@@ -81,20 +82,27 @@ def read_team(path: Path) -> Team:
     )
 
 
-def present_team(run: Run, arena: int, name: str, slots: Iterable[int] | None = None) -> Team:
-    """The robots of an arena, or of some of its slots, with what they have learnt so far."""
-    slots = range(run.shape[1]) if slots is None else slots
+def team_of_run(config: RunConfig, genomes: Iterable[Genome], name: str) -> Team:
+    """Genomes of a run in NERO's world as a team."""
     return Team(
         name=name,
-        genomes=tuple(run.genome(arena, slot) for slot in slots),
-        sensors=run.config.world.schema,
-        evaluation=run.config.network.evaluation,
-        candidates=run.heads.candidates,
+        genomes=tuple(genomes),
+        sensors=config.world.schema,
+        evaluation=config.network.evaluation,
+        candidates=config.network.candidates,
         bias=RUN_BIAS,
     )
 
 
+def present_team(run: Run, arena: int, name: str, slots: Iterable[int] | None = None) -> Team:
+    """The robots of an arena, or of some of its slots, with what they have learnt so far."""
+    slots = range(run.shape[1]) if slots is None else slots
+    return team_of_run(run.config, (run.genome(arena, slot) for slot in slots), name)
+
+
 def fittest_team(run: Run, count: int, arena: int, name: str) -> Team:
-    """The fittest robots of an arena."""
-    best = np.argsort(-run.populations[arena].merit, kind="stable")[:count]
+    """The fittest robots of an arena, by the weights of its rewards as they are now."""
+    population = run.populations[arena]
+    population.weigh(run.world.present_weights)
+    best = np.argsort(-population.merit, kind="stable")[:count]
     return present_team(run, arena, name, best.tolist())
