@@ -243,8 +243,7 @@ def preset(
     Args:
         task: A built-in task, the path of a scenario file, gym:ID, gym:ID:name=value (an argument
             of the environment, as in `env_kwargs`) or the name of a registered world. What a file
-            says about sensors and reward is kept; what it leaves out is the
-            arm's.
+            says about sensors and reward is kept; what it leaves out is the arm's.
         arm: One of `ARMS`.
         env_kwargs: Keys of the scenario, or arguments of the environment, with other values.
         population: Another kind of population than the arm's, with its own defaults.

@@ -99,7 +99,8 @@ class RunConfig:
         generations: Length on a Gymnasium task.
         until: On a Gymnasium task: the run also ends, as solved, when the champion of an arena has
             this mean return of its held-out episodes.
-        arenas: Independent populations side by side; arena i is the run with seed + i.
+        arenas: Independent populations side by side; arena i is the run with seed + i. Rivals come
+            in pairs, of which each is the run with the seed of its first arena.
         seed: Of arena 0.
         batch_ticks: Ticks between two updates; evolution replaces genomes between batches. None:
             as many as population and learner ask for.

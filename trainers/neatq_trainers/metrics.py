@@ -146,11 +146,11 @@ class NeroMetrics(RobotMetrics):
         if not isinstance(world, NeroWorld) or not world.held_out:
             return rows
         due, scenario = HELD_OUT_ROUNDS * world.config.round_ticks, world.config.scenario
-        for place, row in enumerate(rows):
+        for number, row in enumerate(rows):
             if isinstance(row, NeroRow) and row.tick % due < ROW_TICKS:
                 team = present_team(run, row.arena, f"arena {row.arena}")
                 wins = share_of_wins(team, world.held_out, scenario)
-                rows[place] = row._replace(held_out_wins=wins)
+                rows[number] = row._replace(held_out_wins=wins)
         return rows
 
     def _sum(

@@ -98,8 +98,7 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
     """Train a population and write a run folder.
 
     Args:
-        task: A built-in task ("wall"), the path of a scenario file, "gym:ID" for a Gymnasium
-            environment, or the name of a registered world.
+        task: A built-in task ("wall"), a scenario's path, "gym:ID", or a registered world's name.
         arm: The preset of population, learner and network; see `ARMS`.
         env_kwargs: Keys of the scenario, or arguments of the environment, with other values.
         population: Another kind of population: "rtneat", "neat", "fixed" or a registered one.
@@ -109,8 +108,7 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
         steps: Length on a Gymnasium task, in environment steps of all genomes of an arena.
         generations: Length on a Gymnasium task.
         until: On a Gymnasium task: held-out return with which the best arena's champion ends it.
-        arenas: Independent populations side by side; arena i is the run with seed + i. Rivals come
-            in pairs. Default: 1, or a pair.
+        arenas: Populations side by side; arena i is the run with seed + i. Default: 1; rivals: 2.
         seed: Of arena 0. The same seed gives the same run.
         out: The run folder; new or empty. Default: runs/TASK-ARM-seedSEED.
         workers: Processes; the results do not depend on it. Default: those that fit this machine.
@@ -122,8 +120,8 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
     Raises:
         ConfigError: If the run cannot be made as asked, or the folder is in use.
         TaskError: If the environment cannot be used.
-        EpisodeError: If an environment fails; `resume` goes on from the last checkpoint.
-        ProcessEnded: If a worker dies; `resume` goes on, as after the next two.
+        EpisodeError: If an environment fails; `resume` goes on, as after the next three.
+        ProcessEnded: If a worker dies.
         KeyboardInterrupt: After Ctrl-C.
         SystemExit: After SIGTERM or SIGHUP, with 128 and the signal's number.
 

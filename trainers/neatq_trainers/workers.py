@@ -1,8 +1,8 @@
 """Who trains the arenas of a run: this process, or several at once.
 
-Arenas do not influence each other, so they can be dealt to processes in any way: the results are
-the same, bit for bit. Where there are fewer arenas than processes, the environments of a Gymnasium
-task are dealt instead.
+Arenas, but for rivals, do not influence each other, so they can be dealt to processes in any way:
+the results are the same, bit for bit. Where there are fewer arenas than processes, the environments
+of a Gymnasium task are dealt instead.
 """
 
 from __future__ import annotations

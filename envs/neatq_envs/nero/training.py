@@ -164,7 +164,7 @@ class TrainingField:
         The others keep what they observed at the end of the last tick.
         """
         for field, arenas, rng in self._worlds():
-            self._begin(field, np.flatnonzero(_rows(mask, arenas)), rng)
+            self._begin(field, np.flatnonzero(_robots_of(mask, arenas)), rng)
         self.age_ticks = np.where(mask, 0, self.age_ticks)
         self._end(np.zeros(self.shape, bool))
         before = self.observation
@@ -183,11 +183,11 @@ class TrainingField:
         clipped = np.clip(actions.astype(np.float64), *self.bounds)
         dead = np.zeros(self.shape, bool)
         for (field, arenas, rng), brains in zip(self._worlds(), self._brains, strict=True):
-            own = _rows(clipped, arenas)
+            own = _robots_of(clipped, arenas)
             given = np.zeros((len(field.team), 4))
             given[: len(own), : own.shape[-1]] = own
             kernels.tick(field, self._ground, self._law, brains, given, rng)
-            _rows(dead, arenas)[:] = self._fallen(field)[: len(own)]
+            _robots_of(dead, arenas)[:] = self._fallen(field)[: len(own)]
         self.tick += 1
         self.age_ticks = self.age_ticks + 1
         before = self.measures
@@ -255,7 +255,7 @@ class TrainingField:
         self.pose = np.zeros((*self.shape, 3))
         for field, arenas, _ in self._worlds():
             seen, measured, pose = (
-                _rows(one, arenas) for one in (self.observation, self.measures, self.pose)
+                _robots_of(one, arenas) for one in (self.observation, self.measures, self.pose)
             )
             pose[:] = field.pose[: len(pose)]
             kernels.correct(field, self._ground)
@@ -348,7 +348,7 @@ def _load(part: Any, names: Sequence[str], saved: Mapping[str, Any]) -> None:
         own[...] = value
 
 
-def _rows(values: np.ndarray, arenas: slice) -> np.ndarray:
+def _robots_of(values: np.ndarray, arenas: slice) -> np.ndarray:
     """A view of values [arenas, robots, ...]: those of some arenas, [robots of all, ...]."""
     return values[arenas].reshape(-1, *values.shape[2:])
 

@@ -73,9 +73,9 @@ class _MatchOptions:
 class BattleCommand(_MatchOptions):
     """Let two teams fight, half of the matches in each colour; write a table and figures.
 
-    A team is a team file of OpenNERO (such as synth.pop.txt.gz) or a run folder. In --out:
-    matches.csv with a row for each match, ranking.csv, duel.png. Matches that are over are not
-    played again, so an interrupted battle goes on where it was.
+    A team is a team file of OpenNERO (such as synth.pop.txt.gz) or a run folder, of several arenas
+    FOLDER:N. In --out: matches.csv with a row for each match, ranking.csv, duel.png. Matches that
+    are over are not played again, so an interrupted battle goes on where it was.
     """
 
     first: TeamPath
@@ -90,10 +90,10 @@ class BattleCommand(_MatchOptions):
 class TournamentCommand(_MatchOptions):
     """Let every team fight every other one on all cores; write a table, a ranking and a matrix.
 
-    A team is a team file of OpenNERO (such as synth.pop.txt.gz) or a run folder. In --out:
-    matches.csv with a row for each match, ranking.csv, matrix.png. Matches that are over are not
-    played again: an interrupted tournament goes on where it was, and one to which teams or
-    matches are added plays what is missing.
+    A team is a team file of OpenNERO (such as synth.pop.txt.gz) or a run folder, of several arenas
+    FOLDER:N. In --out: matches.csv with a row for each match, ranking.csv, matrix.png. Matches that
+    are over are not played again: an interrupted tournament goes on where it was, and one to which
+    teams or matches are added plays what is missing.
     """
 
     teams: TeamPaths

@@ -31,7 +31,7 @@ HARDNESS = 2.0
 WIN_RATE_STEP = 0.25
 """What the last round counts in that share."""
 RIVAL_NAME = "rival"
-_STREAM = 10
+LEAGUE_STREAM = 10
 _RIVAL = -1
 
 
@@ -91,7 +91,7 @@ class League:
     def reset(self) -> None:
         """Begin with the first round."""
         self._rngs = [
-            np.random.default_rng([seed, _STREAM]) for seed in self._seeds[:: self._together]
+            np.random.default_rng([seed, LEAGUE_STREAM]) for seed in self._seeds[:: self._together]
         ]
         self.rows: list[RoundRow] = []
         self._teams = list(self._given)

@@ -81,7 +81,7 @@ def nero_config(kwargs: Mapping[str, Any]) -> NeroConfig:
     """The world of the task "nero" with keys of its fields, and other attributes, changed."""
     own = ("enemy", "field", "against", "round_ticks", "held_out")
     changes = {name: value for name, value in kwargs.items() if name not in own}
-    against, held_out = (_names(name, kwargs.get(name, ())) for name in ("against", "held_out"))
+    against, held_out = (_opponents(name, kwargs.get(name, ())) for name in ("against", "held_out"))
     enemy = str(kwargs.get("enemy", "none" if against else "turrets"))
     if "firing" in changes:
         changes["firing"] = str(changes["firing"])  # a year, which is no number
@@ -98,7 +98,7 @@ def nero_config(kwargs: Mapping[str, Any]) -> NeroConfig:
     return config
 
 
-def _names(key: str, value: Any) -> list[str]:
+def _opponents(key: str, value: Any) -> list[str]:
     """Opponents that somebody named, one or several."""
     several = [value] if isinstance(value, str | Path) else value
     if not isinstance(several, list | tuple):
