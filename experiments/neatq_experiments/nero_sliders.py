@@ -107,7 +107,7 @@ def sliders_table(results: Results) -> str:
 
 def draw_sliders(results: Results) -> Figure:
     """A panel for each reward: its own measure at both ends of the slider, seeds and means."""
-    figure = Figure(figsize=(9, 5.2), layout="constrained")
+    figure = Figure(figsize=(10, 5.4), layout="constrained")
     for axes, (name, slider) in zip(figure.subplots(2, 3).flat, SLIDERS.items(), strict=True):
         for shift, (arm, colour) in zip((-0.12, 0.12), COLOURS.items(), strict=True):
             up, down = at_both_ends(results, arm, name)
