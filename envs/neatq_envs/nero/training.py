@@ -205,7 +205,7 @@ class TrainingField:
         All lives are over then, and what they came to is still to be told.
         """
         next_round = self._rounds is not None and self.tick % self._rounds.ticks == 0
-        next_stage = self.tick in self._ends
+        next_stage = bool(self.tick in self._ends)
         if not (next_round or next_stage):
             return
         if self._rounds is not None and next_round:
@@ -249,8 +249,8 @@ class TrainingField:
         self.truncated = old & ~dead
 
     def _look(self) -> None:
-        seen = OBSERVATIONS[self.scenario.sensors]
-        self.observation = np.zeros((*self.shape, seen), np.float32)
+        size = OBSERVATIONS[self.scenario.sensors]
+        self.observation = np.zeros((*self.shape, size), np.float32)
         self.measures = np.zeros((*self.shape, len(MEASURES)))
         self.pose = np.zeros((*self.shape, 3))
         for field, arenas, _ in self._worlds():
