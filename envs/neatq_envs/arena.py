@@ -44,27 +44,31 @@ class Arena:
     def __init__(self, scenario: Scenario, seeds: Sequence[int]) -> None:
         if not seeds:
             raise ValueError("seeds: expected one for each arena, got none")
-        self.scenario = scenario
-        self._senses, self._rewards = Senses(scenario), Rewards(scenario)
-        self.schema = self._senses.schema
+        self.seeds = tuple(int(seed) for seed in seeds)
+        self._obey(scenario)
         # The bounds are single precision, as the actions of networks are.
         low, high = self.schema.action_bounds(scenario)
         self._bounds = low.astype(np.float64), high.astype(np.float64)
-        self._physics = Physics(scenario, len(seeds))
-        self.seeds = tuple(int(seed) for seed in seeds)
         self._generators = {
             name: [np.random.default_rng([seed, stream]) for seed in self.seeds]
             for stream, name in enumerate(_STREAMS)
         }
         self._flags = ArenaFlags(scenario, self._generators["flag_generators"])
-        self._spawn_centres = np.array([(spawn.x, spawn.y) for spawn in scenario.spawns])
-        self._jitters = np.array([spawn.jitter for spawn in scenario.spawns])
         self.tick, self._began = 0, np.zeros(len(seeds), dtype=np.int64)
         self.age_ticks = np.zeros(self.shape, dtype=np.int64)
         self.heading_rad = self.reward = np.zeros(self.shape)
         self.reward_vector = np.zeros((*self.shape, len(REWARD_DIMENSIONS)))
         self.observation = np.zeros((*self.shape, len(self.schema.observations)), np.float32)
         self.reset()
+
+    def _obey(self, scenario: Scenario) -> None:
+        """Make everything of a scenario but its flags."""
+        self.scenario = scenario
+        self._senses, self._rewards = Senses(scenario), Rewards(scenario)
+        self.schema = self._senses.schema
+        self._physics = Physics(scenario, len(self.seeds))
+        self._spawn_centres = np.array([(spawn.x, spawn.y) for spawn in scenario.spawns])
+        self._jitters = np.array([spawn.jitter for spawn in scenario.spawns])
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -168,6 +172,24 @@ class Arena:
         ignore = actions[..., 3] > IGNORE_ABOVE if actions.shape[-1] > 3 else None
         self.observation = self._sense(ahead, self.reward, ignore)
 
+    def change(self, scenario: Scenario) -> None:
+        """Let the worlds go on in another scenario, which may differ in `CHANGEABLE` alone.
+
+        Robots whose middle a wall covers, or whose lives are longer than they may be now, begin new
+        lives. The others sense the change with the next tick.
+
+        Raises:
+            ScenarioError: it differs in more; nothing has changed then.
+        """
+        self.scenario.refuse_change(scenario)
+        place, velocity = self._physics.place, self._physics.velocity
+        self._obey(scenario)
+        self._physics.rebuild(place, velocity)
+        self._flags.change(scenario, self.tick - self._began)
+        self.distance = flag_distance(self.position, self.flag)
+        covered = scenario.in_wall(*np.moveaxis(self.position, -1, 0))
+        self.respawn(covered | self.truncated)
+
     def rebuild(self) -> None:
         """Build the physics anew from the arrays, as a restored run does.
 
@@ -194,17 +216,18 @@ class Arena:
         }
 
     def load_world_state(self, state: Mapping[str, Any]) -> None:
-        """Continue from a `world_state` of an equal scenario and as many arenas.
+        """Continue from a `world_state` of as many arenas, in its scenario; see `change`.
 
         Raises:
-            ScenarioError: the state is of another scenario or of another number of arenas.
+            ScenarioError: the state's scenario differs in more than may change, or its arenas are
+                of another number.
         """
         # Read, not compared as it is: a state may be older than a key of scenarios.
-        if Scenario.from_dict(state["scenario"]) != self.scenario:
-            raise ScenarioError(
-                f"the state is of scenario {state['scenario']}, this arena of "
-                f"{self.scenario.to_dict()}; make the arena from the state's scenario"
-            )
+        scenario = Scenario.from_dict(state["scenario"])
+        self.scenario.refuse_change(scenario)
+        if scenario != self.scenario:
+            self._obey(scenario)
+            self._flags.change(scenario, self._began)
         if len(state["seeds"]) != len(self.seeds):
             words = f"the state has {len(state['seeds'])} arenas, this has {len(self.seeds)}"
             raise ScenarioError(words)

@@ -147,6 +147,17 @@ def require_fields(kind: type, values: Any, where: str = "") -> None:
             raise ScenarioError(f"{path}: expected {fault}, got {shown(value)}")
 
 
+def require_alike(before: Any, after: Any, changeable: Collection[str]) -> None:
+    """Require that two of a dataclass differ in nothing but the fields that may change."""
+    for name in (entry.name for entry in fields(before)):
+        own, other = getattr(before, name), getattr(after, name)
+        require(
+            own == other or name in changeable,
+            f"{name}: expected {shown(own)}, as it was, got {shown(other)}; while robots live only "
+            f"{', '.join(changeable)} may change",
+        )
+
+
 def pair(key: str, value: Any, limits: str) -> tuple[float, float]:
     """Two numbers within the limits of a field, such as a place (x, y)."""
     two = isinstance(value, list | tuple) and len(value) == 2

@@ -73,11 +73,14 @@ class ArenaFlags:
     """
 
     def __init__(self, scenario: Scenario, generators: Sequence[np.random.Generator]) -> None:
-        self._scenario, self._generators = scenario, generators
-        self._positions = scenario.flag.positions
+        self._generators = generators
         self.place = np.zeros((len(generators), 2))
+        self._obey(scenario)
+
+    def _obey(self, scenario: Scenario) -> None:
+        self._scenario, self._positions = scenario, scenario.flag.positions
         places = self._positions if scenario.flag.switch_ticks else ()
-        self._both = [np.tile(place, (len(generators), 1)) for place in places]
+        self._both = [np.tile(place, (len(self.place), 1)) for place in places]
 
     @property
     def sensed(self) -> tuple[np.ndarray, np.ndarray | None]:
@@ -90,6 +93,23 @@ class ArenaFlags:
     def begin(self, arenas: np.ndarray) -> None:
         """Put the flags of the arenas of a mask, bool [arenas], where they stand at first."""
         self._put(np.flatnonzero(arenas), np.zeros(len(self.place), dtype=np.int64))
+
+    def change(self, scenario: Scenario, ticks: np.ndarray) -> None:
+        """Stand as another scenario says, `ticks` [arenas] after each world was made.
+
+        Of two flags the same one goes on to count, and one that was drawn in a ring stays there.
+        """
+        before, ring = self._positions, self._scenario.flag.ring
+        self._obey(scenario)
+        flag, place = scenario.flag, self.place.copy()
+        for arena, moves in enumerate(ticks // (flag.interval_ticks or 1)):
+            if flag.switch_ticks:
+                place[arena] = flag.positions[before.index(tuple(place[arena]))]
+            elif flag.ring is None:
+                place[arena] = flag.positions[moves % len(flag.positions)]
+            elif flag.ring != ring or scenario.in_wall(*place[arena]):
+                place[arena] = self._draw(self._generators[arena])
+        self.place = place
 
     def update(self, ticks: np.ndarray) -> bool:
         """Move the flags that are due, or let the other one count; whether any was due.

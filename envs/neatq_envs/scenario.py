@@ -51,6 +51,7 @@ from neatq_envs.checks import (
     from_json,
     read_object,
     require,
+    require_alike,
     require_fields,
     require_known,
     shown,
@@ -142,6 +143,14 @@ class Scenario:
     def replaced(self, **changes: Any) -> Scenario:
         """A copy with `changes`, checked again."""
         return replace(self, **changes)
+
+    def refuse_change(self, after: Scenario) -> None:
+        """Raise a `ScenarioError` if robots that live here could not go on in another scenario."""
+        require_alike(self, after, CHANGEABLE)
+        require(
+            bool(self.flag.switch_ticks) == bool(after.flag.switch_ticks),
+            "flag.switch_ticks: robots have sensors for one flag or for two, and keep them",
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values that `from_dict` reads back as an equal scenario."""
@@ -236,6 +245,8 @@ def meets_wall(xs: np.ndarray, ys: np.ndarray, wall: Wall, radius: float) -> boo
     return any((box_distance(np.array(x), near, wall) < radius).any() for x in columns)
 
 
+CHANGEABLE = ("walls", "spawns", "flag", "reward_weights", "lifetime_ticks")
+"""What may be another while robots live in a scenario."""
 Source = Scenario | Mapping[str, Any] | Path | str
 """A task's name, the path of a JSON file, the content of one, or a scenario."""
 

@@ -127,6 +127,19 @@ class FieldEnv(RowsEnv):
         self.arena.load_world_state(state)
         self._restored = True
 
+    def change(self, scenario: Any) -> None:
+        """Let the worlds go on in another scenario, until it is another again.
+
+        As after `load_world_state`, `reset()` returns them as they are until the next step.
+        """
+        self.arena.change(scenario)
+        self._restored = True
+
+    def begin_lives(self, mask: np.ndarray) -> None:
+        """Begin the lives of a mask, bool [arenas, robots], anew; then `reset()` as in `change`."""
+        self.arena.respawn(mask)
+        self._restored = True
+
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
         if mask is not None:
@@ -211,8 +224,7 @@ itself included |
 
     def __init__(self, scenario: Scenario, *, arenas: int = 1, seed: int = 0) -> None:
         super().__init__(device=None, batch_size=torch.Size([arenas, scenario.robots]))
-        self.scenario = scenario
-        self.arena: Arena = self._make(range(seed, seed + arenas))
+        self.arena = Arena(scenario, range(seed, seed + arenas))
         schema = self.arena.schema
         inputs = self._size(len(schema.observations))
         observed = {
@@ -224,6 +236,11 @@ itself included |
         }
         reward = Bounded(0.0, 1.0, shape=self._size(1), dtype=torch.float32)
         self._declare(schema.action_bounds(scenario), observed, reward)
+
+    @property
+    def scenario(self) -> Scenario:
+        """That in which all arenas are."""
+        return self.arena.scenario
 
     def _make(self, seeds: range) -> Arena:
         return Arena(self.scenario, seeds)

@@ -5,10 +5,12 @@ Stanley, Bryant & Miikkulainen 2005, in the form that OpenNERO's source code giv
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
 from math import floor
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +25,12 @@ from neatq_torch.evolution.reproduction import (
 )
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
 from neatq_torch.evolution.trials import BestStretches, Trials, relative_fitness, weighted
+from neatq_torch.genome import Genome
 from neatq_torch.kinds import ConfigError, check_fields
+
+PREFERRED_SHARE = 0.5
+"""Of all offspring, those of robots that somebody has marked as good ones."""
+_MARKS = ("protected", "preferred")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +117,8 @@ class RtNEAT(Population):
         birth_order: int64 [slots], the oldest first.
         settled: replacements that are no longer due.
         pioneering: genome ids of the offspring that pioneers had in the last `advance`.
+        protected: genome ids of those whom nobody replaces, until somebody takes them out.
+        preferred: genome ids of those who have `PREFERRED_SHARE` of all offspring while they live.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -127,7 +136,7 @@ class RtNEAT(Population):
         config, slots, dimensions = self.config, len(self.genomes), self.reward_weights.size
         lives = config.minimum_life_ticks, config.minimum_life_episodes
         self.tick, self.trials = 0, Trials(slots, dimensions, *lives)
-        self.pioneering = set[int]()
+        self.pioneering, self.protected, self.preferred = set[int](), set[int](), set[int]()
         self.stretches = None if config.pioneer_share is None else BestStretches(slots)
         if self.stretches is not None:
             self.kept = (*self.kept, "stretches")
@@ -138,6 +147,17 @@ class RtNEAT(Population):
         self.birth_order = np.arange(slots)
         # The first life of all replaces nobody.
         self.settled = replacements_until(slots, config.ineligible_fraction)
+
+    def state_dict(self) -> dict[str, Any]:
+        """See `Population`."""
+        marks = {name: sorted(getattr(self, name)) for name in _MARKS}
+        return super().state_dict() | marks
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """See `Population`; what was saved before there were marks has none."""
+        super().load_state(state)
+        for name in _MARKS:
+            setattr(self, name, set(map(int, state.get(name, ()))))
 
     @property
     def age_ticks(self) -> NDArray[np.int64]:
@@ -215,30 +235,64 @@ class RtNEAT(Population):
         self.settled += due
         self.pioneering.clear()
         replacements: list[Replacement] = []
-        while len(replacements) < due and self.eligible.any():
-            replacements.append(self._replace_worst())
+        while len(replacements) < due and self._replaceable.any():
+            replacements.append(self.replace())
         return replacements
 
-    def _replace_worst(self) -> Replacement:
+    @property
+    def _replaceable(self) -> NDArray[np.bool_]:
+        return self.eligible & ~self.slots_of(self.protected)
+
+    def slots_of(self, genome_ids: Collection[int]) -> NDArray[np.bool_]:
+        """Bool [slots], in which of them genomes of these ids live."""
+        if not genome_ids:
+            return np.zeros(len(self.genomes), bool)
+        return np.array([genome.genome_id in genome_ids for genome in self.genomes])
+
+    def replace(self, slot: int | None = None, parents: tuple[int, ...] = ()) -> Replacement:
+        """Let an offspring take a slot, whether one is due or not; `advance` does it when it is.
+
+        Args:
+            slot: which; None: that of the worst who can be judged, of all while nobody can.
+            parents: slots of one or two; none: they are chosen as always.
+        """
         score, eligible = self.score, self.eligible
-        adjusted = score / self.speciation.sizes(len(self.genomes))
+        if not eligible.any():  # somebody asks before anybody was judged
+            eligible = np.ones_like(eligible)
         breeders = self._breeders(score, eligible)
-        pioneer = self._pioneer(eligible, breeders)
-        if pioneer is not None:
-            adjusted[pioneer] = np.inf
-        oldest_first = self.birth_order[eligible[self.birth_order]]
-        slot = int(oldest_first[adjusted[oldest_first].argmin()])
+        pioneer = self._pioneer(self.eligible, breeders)
+        if slot is None:
+            slot = self._worst(score, eligible, pioneer)
         removed = self.genomes[slot].genome_id
         self.speciation.remove(slot)
-        share = self.config.pioneer_share or 0
-        mother = None if pioneer in (None, slot) or self.rng.random() >= share else pioneer
-        if mother is None:
-            slots, interspecies = self._parents(score, eligible, breeders[breeders != slot])
-        else:
-            slots, interspecies = (mother,), False
-        genome, parents = self.breed(slots, score, interspecies=interspecies)
+        mother = None if parents else self._mother(slot, pioneer)
         if mother is not None:
+            parents = (mother,)
+        interspecies = False
+        if not parents:
+            parents, interspecies = self._parents(score, eligible, breeders[breeders != slot])
+        genome, ids = self.breed(parents, score, interspecies=interspecies)
+        if mother is not None and mother == pioneer:
             self.pioneering.add(genome.genome_id)
+        self._settle(slot, genome)
+        return Replacement(slot, genome, removed, ids)
+
+    def adopt(self, slot: int, genome: Genome) -> Replacement:
+        """Let a genome that this population once had take a slot, by a new number.
+
+        It counts as the child of whoever it replaces.
+        """
+        removed = self.genomes[slot].genome_id
+        self.speciation.remove(slot)
+        genome = genome.replaced(genome_id=self.next_genome_id)
+        self.next_genome_id += 1
+        self._settle(slot, genome)
+        return Replacement(slot, genome, removed, (removed,))
+
+    def _settle(self, slot: int, genome: Genome) -> None:
+        """Put a genome of age 0 into a slot that is in no species."""
+        for marks in (self.protected, self.preferred):
+            marks.discard(self.genomes[slot].genome_id)
         self.genomes[slot] = genome
         self.trials.reset(slot)
         if self.stretches is not None:
@@ -247,7 +301,25 @@ class RtNEAT(Population):
         order[:-1], order[-1] = order[order != slot], slot
         self.speciation.add(slot, self.genomes)
         self.speciation.count_offspring(self.genomes, self.birth_order)
-        return Replacement(slot, genome, removed, parents)
+
+    def _worst(
+        self, score: NDArray[np.float64], eligible: NDArray[np.bool_], pioneer: int | None
+    ) -> int:
+        """The slot that makes room: of equal ones the oldest."""
+        adjusted = score / self.speciation.sizes(len(self.genomes))
+        adjusted[self.slots_of(self.protected)] = np.inf
+        if pioneer is not None:
+            adjusted[pioneer] = np.inf
+        oldest_first = self.birth_order[eligible[self.birth_order]]
+        return int(oldest_first[adjusted[oldest_first].argmin()])
+
+    def _mother(self, slot: int, pioneer: int | None) -> int | None:
+        """Who has the next offspring alone, a preferred one or the pioneer; None: the others do."""
+        preferred = np.flatnonzero(self.slots_of(self.preferred))
+        if len(preferred) and self.rng.random() < PREFERRED_SHARE:
+            return int(self.rng.choice(preferred))
+        share = self.config.pioneer_share or 0
+        return None if pioneer in (None, slot) or self.rng.random() >= share else pioneer
 
     @property
     def pioneer(self) -> int | None:

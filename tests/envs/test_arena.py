@@ -260,7 +260,7 @@ def test_a_world_state_is_arrays_and_json_values() -> None:
 
 def test_a_state_of_another_world_is_refused() -> None:
     state = Arena(SMALL, [0]).world_state()
-    with pytest.raises(ScenarioError, match="make the arena from the state's scenario"):
+    with pytest.raises(ScenarioError, match="robots: expected 6, as it was, got 5"):
         Arena(SMALL.replaced(robots=6), [0]).load_world_state(state)
     with pytest.raises(ScenarioError, match="1 arenas, this has 2"):
         Arena(SMALL, [0, 1]).load_world_state(state)

@@ -116,6 +116,7 @@ def _restore(run: Run, state: State) -> None:
     for name, fresh in run.state_dict().items():
         if name in own:
             columns = name in ("policy", "learner")
+            fresh.pop("scenario", None)  # the world reads it, as it may have become another one
             check_form(state[name], fresh, columns=columns, where=f".{name}")
     run.tick = state["tick"]
     run.policy.load_state_dict(state["policy"])

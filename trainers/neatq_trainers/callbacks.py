@@ -17,6 +17,7 @@ from neatq_trainers.rows import DistanceRow, NeroRow, Row
 from neatq_trainers.run import Run
 
 if TYPE_CHECKING:
+    from neatq_trainers.changes import AnyChange
     from neatq_trainers.train import Session
 
 LOGS = "logs"
@@ -49,6 +50,15 @@ class Callback:
 
     def rows(self, session: Session, rows: Sequence[Row]) -> None:
         """The run can stop here; `rows` are the new rows of metrics, often none."""
+
+    def idle(self, session: Session) -> None:
+        """The run is paused, or has just been: wait a moment, if you like. Called all the time."""
+
+    def changed(self, session: Session, change: AnyChange) -> None:
+        """A change was made, which somebody asked for or which a record repeats."""
+
+    def refused(self, session: Session, change: AnyChange, error: Exception) -> None:
+        """A change cannot be made, and everything is as it was; the error says why."""
 
     def checkpoint(self, session: Session) -> None:
         """A checkpoint was written."""

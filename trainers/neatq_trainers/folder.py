@@ -22,6 +22,7 @@ from neatq_torch.genome import Genome, load_genome, save_genome
 from neatq_torch.json_text import parse_json
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.callbacks import LOGS
+from neatq_trainers.changes import CHANGES, Record
 from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.lock import HOLDER, LOCK, RunFolderError
 from neatq_trainers.rows import DistanceRow, NeroRow, ReturnRow, Row, csv_line, header, row_kind
@@ -37,7 +38,7 @@ CONFIG, METRICS, CHECKPOINT = "config.json", "metrics.csv", "checkpoint.npz"
 CHAMPION, CURVES, PICTURE = "champion.json", "curves.png", "champion.png"
 PATHS, TEAM, FILM = "arena.png", "team.gif", "champion.gif"
 SCALING, RESULT, ROUNDS = "scaling.json", "result.json", "rounds.csv"
-FILES = (METRICS, CURVES, PATHS, TEAM, CHAMPION, SCALING, RESULT, PICTURE, FILM, ROUNDS)
+FILES = (METRICS, CHANGES, CURVES, PATHS, TEAM, CHAMPION, SCALING, RESULT, PICTURE, FILM, ROUNDS)
 """What a run may leave, in the order in which it is told."""
 _WRITTEN = (CONFIG, CHECKPOINT, *FILES)
 
@@ -53,6 +54,7 @@ class RunFolder:
     Attributes:
         path: The folder; also `folder`.
         config: What runs.
+        record: What somebody has changed in it since it began.
         track: Poses [slots, ticks, 3] of the latest strides of arena 0, one life of them.
         notes: What is to be said of the run after training.
 
@@ -63,7 +65,7 @@ class RunFolder:
     """
 
     def __init__(self, path: Path, config: RunConfig) -> None:
-        self.path, self.config = path, config
+        self.path, self.config, self.record = path, config, Record(path / CHANGES)
         self.track: deque[np.ndarray] = deque()
         self.notes: list[str] = []
         self._header = header(row_kind(config))
@@ -122,6 +124,7 @@ class RunFolder:
                     f"{unit}: the run in {self.path} has {state['done'][unit]} already, got "
                     f"{value}; give more, or begin a new run with another --out"
                 )
+        self.record = Record(self.path / CHANGES, state.get("changes", 0))
         self._cut_metrics(state["metrics_bytes"], state["metrics_crc"])
         self._cut_logs(state.get("logs"))
         if config != self.config:
@@ -212,6 +215,7 @@ class RunFolder:
             "track": self.latest_track(),
             "facts": facts and facts.to_dict(),
             "done": done,
+            "changes": self.record.made,
             "metrics_bytes": self._bytes,
             "metrics_crc": self._crc,
             "logs": {name: path.stat().st_size for name, path in self._logs().items()},

@@ -22,6 +22,7 @@ from torchrl.collectors import Collector
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from neatq_envs.torchrl_env import RowsEnv
+from neatq_torch.evolution import Replacement
 from neatq_torch.learning import write_back
 from neatq_torch.learning.candidates import NOBODY
 from neatq_trainers.callbacks import Callback
@@ -87,6 +88,10 @@ def strides(run: Run, callbacks: Sequence[Callback] = ()) -> Generator[Stride]:
                 track = np.concatenate(poses, 1) if poses else None
                 yield Stride(rows, track, run.tick, run.metrics.steps(run), run.generation)
                 rows, poses = [], []
+                if run.disturbed:
+                    assert isinstance(collector, _RowsCollector)
+                    collector.look_again()
+                    run.disturbed = False
     finally:
         collector.shutdown(close_env=False)
 
@@ -119,6 +124,10 @@ class _RowsCollector(Collector):
         """Batch after batch."""
         while True:
             yield self.rollout()
+
+    def look_again(self) -> None:
+        """Go on from what the environment's `reset` returns, as a collector that has just begun."""
+        self._carrier = self.env.reset()
 
     @torch.no_grad()
     def rollout(self) -> TensorDictBase:
@@ -161,21 +170,31 @@ def judge(run: Run, batch: TensorDictBase) -> None:
 
 def breed(run: Run) -> Tensor:
     """Let evolution replace genomes where it is due; returns the newborn [arenas, slots]."""
-    newborn = torch.zeros(run.shape, dtype=torch.bool)
-    network, due = run.network, [population.due() > 0 for population in run.populations]
-    if network is None or not (all(due) if run.config.generational else any(due)):
-        return newborn
+    due = [population.due() > 0 for population in run.populations]
+    if run.network is None or not (all(due) if run.config.generational else any(due)):
+        return torch.zeros(run.shape, dtype=torch.bool)
+    learnt(run, due)
+    return introduce(run, [population.advance() for population in run.populations])
+
+
+def learnt(run: Run, arenas: Sequence[bool]) -> None:
+    """Write what was learnt into the genomes of arenas that are about to breed."""
+    assert run.network is not None
     if getattr(run.config.learner, "inheritance", "darwinian") == "lamarckian":
-        write_back(network, run.populations, due)
-    run.replacements = []
-    for arena, population in enumerate(run.populations):
-        replacements = population.advance()
-        run.replacements.append(replacements)
-        for replacement in replacements:
+        write_back(run.network, run.populations, arenas)
+
+
+def introduce(run: Run, replacements: list[list[Replacement]]) -> Tensor:
+    """Let networks, learner and policy begin anew where each arena's population has replaced."""
+    assert run.network is not None
+    newborn = torch.zeros(run.shape, dtype=torch.bool)
+    run.replacements = replacements
+    for arena, own in enumerate(replacements):
+        for replacement in own:
             newborn[arena, replacement.slot] = True
-            network.replace(arena * run.shape[1] + replacement.slot, replacement.genome)
+            run.network.replace(arena * run.shape[1] + replacement.slot, replacement.genome)
         if run.teachers is not None:
-            run.teachers.inherit(arena, replacements)
+            run.teachers.inherit(arena, own)
     if newborn.any():
         run.begin_generation()
         if run.teachers is not None:

@@ -234,7 +234,7 @@ def _draw_team(folder: RunFolder, world: ArenaConfig) -> None:
         track = track[: len(track) - -life % config.ticks_per_batch]
     if track.size:
         paths = draw_paths(
-            world.scenario,
+            run.world.env.scenario,
             track,
             run.world.env.arena.flag[0],
             highlight=champion,
@@ -243,7 +243,7 @@ def _draw_team(folder: RunFolder, world: ArenaConfig) -> None:
         save_figure(paths, folder.path / PATHS)
     poses, flags = play(run, life)
     frames = [
-        frame(world.scenario, pose[:, :2], pose[:, 2], flag, highlight=champion)
+        frame(run.world.env.scenario, pose[:, :2], pose[:, 2], flag, highlight=champion)
         for pose, flag in zip(poses[::FRAME_TICKS], flags[::FRAME_TICKS], strict=True)
     ]
     write_atomic(folder.path / TEAM, animation(frames))

@@ -111,6 +111,8 @@ class Run:
         metrics: Watches it.
         tick: Ticks so far.
         replacements: What evolution replaced last, of each arena.
+        disturbed: Whether somebody has changed the world between two strides, so that robots must
+            look again.
     """
 
     config: RunConfig
@@ -125,6 +127,7 @@ class Run:
     metrics: Metrics
     tick: int = 0
     replacements: list[list[Replacement]] = field(default_factory=list)
+    disturbed: bool = False
 
     @property
     def shape(self) -> tuple[int, int]:

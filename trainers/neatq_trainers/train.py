@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -26,6 +27,7 @@ from neatq_trainers.callbacks import (
     Report,
     TorchRLLogger,
 )
+from neatq_trainers.changes import REFUSALS, AnyChange, read_record
 from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.effects import refuse_without_effect
 from neatq_trainers.folder import RunFolder, check_new, load_run
@@ -56,6 +58,8 @@ class Session:
         score: The best return of a champion in its evaluation.
         stop: Set it to end the training in order; `resume` goes on.
         wants_checkpoint: Set it to have a checkpoint written soon.
+        paused: Set it to let the run stand; `idle` of the callbacks is called until it goes on.
+        wanted: Changes that somebody asks for; each is made, or refused, when the run can stop.
     """
 
     config: RunConfig
@@ -65,6 +69,8 @@ class Session:
     score: float = -math.inf
     stop: bool = False
     wants_checkpoint: bool = False
+    paused: bool = False
+    wanted: deque[AnyChange] = field(default_factory=deque)
 
     @property
     def done(self) -> int:
@@ -93,6 +99,7 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
     seed: int = 0,
     out: Path | str | None = None,
     workers: int | None = None,
+    changes: Path | str | None = None,
     callbacks: Sequence[Callback] = (),
 ) -> RunFolder:
     """Train a population and write a run folder.
@@ -109,9 +116,10 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
         generations: Length on a Gymnasium task.
         until: On a Gymnasium task: held-out return with which the best arena's champion ends it.
         arenas: Populations side by side; arena i is the run with seed + i. Default: 1; rivals: 2.
-        seed: Of arena 0. The same seed gives the same run.
+        seed: Of arena 0.
         out: The run folder; new or empty. Default: runs/TASK-ARM-seedSEED.
         workers: Processes; the results do not depend on it. Default: those that fit this machine.
+        changes: The `changes.jsonl` of a run that was steered, to be repeated in this one.
         callbacks: Called while it trains.
 
     Returns:
@@ -120,14 +128,12 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
     Raises:
         ConfigError: If the run cannot be made as asked, or the folder is in use.
         TaskError: If the environment cannot be used.
-        EpisodeError: If an environment fails; `resume` goes on, as after the next three.
+        EpisodeError: If an environment fails; `resume` goes on, as after the next two.
         ProcessEnded: If a worker dies.
-        KeyboardInterrupt: After Ctrl-C.
-        SystemExit: After SIGTERM or SIGHUP, with 128 and the signal's number.
+        KeyboardInterrupt, SystemExit: After Ctrl-C; after SIGTERM or SIGHUP.
 
     Example:
         >>> run = train("gym:CartPole-v1", arm="neat", generations=10)
-        >>> policy = load_policy(run.folder)
     """
     length = {"ticks": ticks, "steps": steps, "generations": generations}
     config = preset(
@@ -136,7 +142,7 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
     arenas = config.arenas if arenas is None else arenas
     config = config.changed({"until": until, "arenas": arenas, "seed": seed, **(settings or {})})
     refuse_without_effect(config, settings or {})
-    return start(config, out, workers=workers, callbacks=callbacks)
+    return start(config, out, workers=workers, changes=changes, callbacks=callbacks)
 
 
 def start(
@@ -144,11 +150,13 @@ def start(
     out: Path | str | None = None,
     *,
     workers: int | None = 1,
+    changes: Path | str | None = None,
     callbacks: Sequence[Callback] = (),
 ) -> RunFolder:
     """Make a run folder and train in it from the beginning; see `train`."""
     path = (default_folder(config) if out is None else Path(out)).absolute()
     check_new(path)
+    repeated = [] if changes is None else read_record(Path(changes))
     count = _checked(workers, config)
     parts = config.split(min(count, config.groups))
     everybody = [kind() for kind in BUILT_IN] + list(callbacks)
@@ -160,7 +168,9 @@ def start(
         begun = [worker.snapshot() for worker in team]  # what cannot be built leaves no folder
         path.mkdir(parents=True, exist_ok=True)
         stack.enter_context(locked(path))
-        session = Session(config=config, folder=RunFolder.create(path, config), facts=facts)
+        folder = RunFolder.create(path, config)
+        folder.record.begin_with(repeated)
+        session = Session(config=config, folder=folder, facts=facts)
         session.folder.save(begun, facts, session.lengths)
         if facts is not None and not facts.repeatable:
             print(
@@ -218,6 +228,9 @@ def resume(
         facts = None if state["facts"] is None else EnvFacts.from_dict(state["facts"])
         everybody, count = [kind() for kind in BUILT_IN] + [*callbacks], _checked(workers, config)
         team = stack.enter_context(open_workers(parts, states, facts, everybody, count))
+        for change in folder.record.settings():
+            for worker in team:
+                worker.make(change)
         session = Session(config=config, folder=folder, facts=facts, lengths=state["done"])
         session.score = best_score(state) if config.until is not None else -math.inf
         _train(session, team, everybody)
@@ -271,8 +284,10 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
         callback.start(session)
     with noting_signals() as signals:
         while True:
-            pausing = session.stop or signals or (session.wants_checkpoint and unsaved)
-            wanted = not session.over and session.done + under_way * stride < total
+            saving = session.stop or signals or (session.wants_checkpoint and unsaved)
+            pausing = saving or session.paused or session.wanted
+            ahead_done = session.done + under_way * stride
+            wanted = not session.over and ahead_done < min(total, session.folder.record.next_tick())
             if wanted and not pausing and under_way < ahead:
                 for worker in workers:
                     worker.begin()
@@ -280,6 +295,11 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
             elif under_way:
                 _take(session, [worker.finish() for worker in workers], callbacks)
                 under_way, unsaved = under_way - 1, True
+            elif _change(session, workers, callbacks):
+                unsaved = True
+            elif session.paused and not saving and not session.over:
+                for callback in callbacks:
+                    callback.idle(session)
             else:  # nobody is at work
                 snapshots = [worker.snapshot() for worker in workers]
                 session.folder.save(snapshots, session.facts, session.lengths)
@@ -293,6 +313,30 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
     _test(session, [one for part in snapshots for one in part.champions])
     for callback in callbacks:
         callback.end(session)
+
+
+def _change(session: Session, workers: Sequence[Worker], callbacks: Sequence[Callback]) -> bool:
+    """Make the next change that is due, recorded or wanted; whether there was any."""
+    record = session.folder.record
+    if record.next_tick() <= session.lengths["ticks"]:
+        change = record.entries[record.made].change
+    elif session.wanted:
+        change = session.wanted.popleft()
+        try:
+            workers[0].check(change)
+            record.add(session.lengths["ticks"], change)
+        except REFUSALS as error:
+            for callback in callbacks:
+                callback.refused(session, change, error)
+            return True
+    else:
+        return False
+    for worker in workers if change.everywhere else workers[:1]:
+        worker.make(change)
+    record.made += 1
+    for callback in callbacks:
+        callback.changed(session, change)
+    return True
 
 
 def _take(session: Session, came: Sequence[Stride], callbacks: Sequence[Callback]) -> None:

@@ -18,6 +18,7 @@ from neatq_envs.random_play import EnvFacts
 from neatq_torch.genome import Genome
 from neatq_trainers.build import build
 from neatq_trainers.callbacks import Callback
+from neatq_trainers.changes import AnyChange
 from neatq_trainers.compiling import CompilingTold
 from neatq_trainers.config import RunConfig
 from neatq_trainers.loop import Stride, strides
@@ -76,6 +77,14 @@ class LocalWorker:
         self._hearing.close()
         return stride
 
+    def check(self, change: AnyChange) -> None:
+        """Refuse a change that cannot be made, see `Change`; no stride may be under way."""
+        change.check(self._run)
+
+    def make(self, change: AnyChange) -> None:
+        """Make a change that was checked."""
+        change.make(self._run)
+
     def snapshot(self) -> Snapshot:
         """The run as it stands; no stride may be under way."""
         run = self._run
@@ -103,6 +112,16 @@ class ProcessWorker(Remote):
     def finish(self) -> Stride:
         """Wait for a stride."""
         return self.answer()
+
+    def check(self, change: AnyChange) -> None:
+        """Ask whether a change can be made."""
+        self.ask("check", change)
+        self.answer()
+
+    def make(self, change: AnyChange) -> None:
+        """Have a change made."""
+        self.ask("make", change)
+        self.answer()
 
     def snapshot(self) -> Snapshot:
         """Ask for the state, and wait for it."""

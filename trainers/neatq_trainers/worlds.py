@@ -169,6 +169,11 @@ class ArenaWorld(World):
         self.inputs = len(self.env.arena.schema.observations)
         self.reward_weights = tuple(scenario.weights().tolist())
 
+    @property
+    def present_weights(self) -> tuple[float, ...]:
+        """Those of the scenario, which may have become another one."""
+        return tuple(self.env.scenario.weights().tolist())
+
     def heads(self, candidates: int, value_range: ValueRange = (0.0, 1.0)) -> Heads:
         """Speed and turn, and in OpenNERO's world two more."""
         low, high = self.env.arena.schema.action_bounds(self.env.scenario)

@@ -22,6 +22,7 @@ from neatq_envs.checks import (
     pair,
     read_object,
     require,
+    require_alike,
     require_fields,
     require_known,
     shown,
@@ -117,6 +118,10 @@ class NeroScenario:
         """A copy with `changes`, checked again."""
         return replace(self, **changes)
 
+    def refuse_change(self, after: NeroScenario) -> None:
+        """Raise a `ScenarioError` if robots that live here could not go on in another scenario."""
+        require_alike(self, after, CHANGEABLE_NERO)
+
     def to_dict(self) -> dict[str, Any]:
         """JSON values that `from_dict` reads back as an equal scenario."""
         return json.loads(json.dumps(asdict(self)))
@@ -161,6 +166,19 @@ class NeroScenario:
             require(not inside, f"{where}: ({x:g}, {y:g}) is inside walls[{index}]; move one")
 
 
+CHANGEABLE_NERO = (
+    "walls",
+    "spawns",
+    "turrets",
+    "flag",
+    "firing",
+    "hit_points",
+    "reward_weights",
+    "lifetime_ticks",
+)
+"""What may be another while robots live in a scenario."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Stage:
     """A part of a curriculum.
@@ -179,6 +197,11 @@ class Stage:
     def to_dict(self) -> dict[str, Any]:
         """JSON values."""
         return {"scenario": self.scenario.to_dict(), "ticks": self.ticks}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Stage:
+        """Read what `to_dict` gave."""
+        return cls(scenario=NeroScenario.from_dict(values["scenario"]), ticks=values["ticks"])
 
 
 NeroSource = NeroScenario | Mapping[str, Any] | Path | str

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 
-from neatq_envs.checks import ScenarioError
+from neatq_envs.checks import ScenarioError, require
 from neatq_envs.nero import kernels
 from neatq_envs.nero.scenario import NERO_ACTIONS, OBSERVATIONS, NeroScenario, Stage
 from neatq_envs.nero.state import (
@@ -281,6 +282,39 @@ class TrainingField:
         parts = np.concatenate([still, gained, own[..., 1:]], axis=-1).clip(-1, 1)
         self.reward = (parts @ (self.weights / max(np.abs(self.weights).sum(), 1e-12)) + 1) / 2
 
+    def change(self, scenario: NeroScenario) -> None:
+        """Let the present stage go on in another scenario: it may differ in `CHANGEABLE_NERO`.
+
+        Robots who have taken more hits than it allows, or lived longer, begin new lives; whom a
+        wall covers it pushes out. The others sense the change with the next tick.
+
+        Raises:
+            ScenarioError: it differs in more; nothing has changed then.
+        """
+        self.scenario.refuse_change(scenario)
+        fields, brains, seen = self.fields, self._brains, self.observation
+        if scenario.reward_weights != self.scenario.reward_weights:
+            self.weights = scenario.weights()
+        stage = replace(self.stages[self._stage], scenario=scenario)
+        self.stages = (*self.stages[: self._stage], stage, *self.stages[self._stage + 1 :])
+        self._enter(self._stage)
+        dead = np.zeros(self.shape, bool)
+        for field, before in zip(self.fields, fields, strict=True):
+            robots = np.flatnonzero(field.control != TURRET)  # which stand first
+            for name in set(_OF_FIELDS) - {"flag"}:
+                getattr(field, name)[robots] = getattr(before, name)[robots]
+            field.shot[robots] = -1  # a turret may be gone
+        for own, before in zip(self._brains, brains, strict=True):
+            _load(own, _OF_BRAINS, before._asdict())
+        self._raise_enemies()
+        for field, arenas, _ in self._worlds():
+            own = _robots_of(dead, arenas)
+            own[:] = self._fallen(field)[: len(own)]
+        self._end(dead)
+        self._look()
+        self.observation = seen
+        self.respawn(self.terminated | self.truncated)
+
     def world_state(self) -> dict[str, Any]:
         """All that the worlds are: a nested dict of numpy arrays and JSON values."""
         return {
@@ -299,17 +333,22 @@ class TrainingField:
         }
 
     def load_world_state(self, state: Mapping[str, Any]) -> None:
-        """Continue from a `world_state` of equal stages and as many arenas.
+        """Continue from a `world_state` of as many arenas, in its stages; see `change`.
 
         Raises:
-            ScenarioError: the state is of other stages or of another number of arenas.
+            ScenarioError: the state's stages differ in more than may change, or its arenas are of
+                another number.
         """
-        own = [stage.to_dict() for stage in self.stages]
-        if state["stages"] != own or len(state["seeds"]) != len(self.seeds):
+        stages = [Stage.from_dict(one) for one in state["stages"]]
+        if len(state["seeds"]) != len(self.seeds) or len(stages) != len(self.stages):
             raise ScenarioError(
-                f"the state is of {len(state['seeds'])} arenas of {state['stages']}, this has "
-                f"{len(self.seeds)} of {own}"
+                f"the state is of {len(state['seeds'])} arenas of {len(stages)} stages, this has "
+                f"{len(self.seeds)} of {len(self.stages)}"
             )
+        for own, saved in zip(self.stages, stages, strict=True):
+            own.scenario.refuse_change(saved.scenario)
+            require(own.ticks == saved.ticks, "stages: the state's have other lengths")
+        self.stages = tuple(stages)
         if self._rounds is not None:
             self._rounds.load_state(state["rounds"])
         self._enter(state["stage"])

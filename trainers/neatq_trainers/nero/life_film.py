@@ -29,7 +29,8 @@ def life_frames(run: Run, ticks: int, every: int) -> list[np.ndarray]:
     """
     world = run.config.world
     assert isinstance(world, NeroConfig)
-    last = replace(world, stages=world.stages[-1:], held_out=(), round_ticks=ticks + 1)
+    stages = run.world.env.arena.stages[-1:]  # as somebody may have made it
+    last = replace(world, stages=stages, held_out=(), round_ticks=ticks + 1)
     env = NeroWorld(last, run.config.seeds).env
     painter, frames = Painter(last.scenario), []
     done = np.zeros(2, np.int64)  # hits and damage of the team
