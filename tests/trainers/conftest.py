@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from neatq_torch.checkpoint import load_checkpoint
-from neatq_trainers import train
 from neatq_trainers.arms import preset
-from neatq_trainers.callbacks import Report
 from neatq_trainers.cli import main
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import CHECKPOINT
@@ -125,15 +123,6 @@ def differences() -> Callable[[State, State], list[str]]:
 def state_of() -> Callable[[Path], State]:
     """Load what a run folder's checkpoint holds."""
     return lambda folder: load_checkpoint(folder / CHECKPOINT)
-
-
-@pytest.fixture(scope="module")
-def without_pictures() -> Iterator[None]:
-    """Runs draw nothing at their end, which takes longer than a tiny run."""
-    with pytest.MonkeyPatch.context() as patch:
-        callbacks = tuple(one for one in train.BUILT_IN if one is not Report)
-        patch.setattr(train, "BUILT_IN", callbacks)
-        yield
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -283,16 +284,30 @@ print(run.metrics()["generation"])
 """
 
 
-def _run_script(folder: Path, text: str) -> subprocess.CompletedProcess[str]:
-    (folder / "five.py").write_text(text)
-    command = [sys.executable, "five.py"]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+@pytest.fixture
+def run_script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Run the text of a script as Python does, but in this process."""
+
+    def run(text: str) -> None:
+        script = tmp_path / "five.py"
+        script.write_text(text)
+        main = ModuleType("__main__")
+        main.__file__ = str(script)
+        monkeypatch.setitem(sys.modules, "__main__", main)
+        monkeypatch.setattr(os, "sched_getaffinity", None, raising=False)  # the script sets it
+        exec(compile(text, script, "exec"), vars(main))
+
+    monkeypatch.chdir(tmp_path)
+    return run
 
 
-def test_a_script_without_a_guard_trains_in_one_process_and_is_told(tmp_path: Path) -> None:
-    done = _run_script(tmp_path, SCRIPT)
-    assert (done.returncode, done.stdout) == (0, "[1.]\n")
-    assert "trains in one process; on 2 cores where five.py has `if __name__" in done.stderr
+def test_a_script_without_a_guard_trains_in_one_process_and_is_told(
+    run_script: Callable[[str], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_script(SCRIPT)
+    out, error = capsys.readouterr()
+    assert out == "[1.]\n"
+    assert "trains in one process; on 2 cores where five.py has `if __name__" in error
 
 
 @pytest.mark.parametrize(
@@ -303,16 +318,19 @@ def test_a_script_without_a_guard_trains_in_one_process_and_is_told(tmp_path: Pa
     ],
 )
 def test_a_script_that_no_process_can_import_is_refused_in_a_sentence(
-    asked: str, tmp_path: Path
+    asked: str, run_script: Callable[[str], None]
 ) -> None:
-    done = _run_script(tmp_path, f"import neatq_torch as nq\n{asked}\n")
-    assert done.returncode == 1
-    assert "five.py: other processes import this script" in done.stderr
-    assert done.stderr.count("Traceback") == 1
+    sentence = r"^five\.py: other processes import this script"
+    with pytest.raises(RuntimeError, match=sentence) as refused:
+        run_script(f"import neatq_torch as nq\n{asked}\n")
+    assert refused.value.__context__ is None, "more than one traceback"
+    assert multiprocessing.active_children() == []
 
 
 def test_a_script_with_a_guard_has_its_processes(tmp_path: Path) -> None:
     guarded = SCRIPT.replace("run = nq", 'if __name__ == "__main__":\n    run = nq')
-    done = _run_script(tmp_path, guarded.replace("\nprint", "\n    print"))
+    (tmp_path / "five.py").write_text(guarded.replace("\nprint", "\n    print"))
+    command = [sys.executable, "five.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "[1.]\n")
     assert "one process" not in done.stderr
