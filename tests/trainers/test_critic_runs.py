@@ -19,6 +19,7 @@ from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import SCALING, load_run
 from neatq_trainers.train import resume, start
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
 Tiny = Callable[..., RunConfig]
 NORMAL = {"network.normalization": "running"}
 CRITIC = {
@@ -104,7 +105,6 @@ def test_a_critic_teaches_in_the_arena_too(tiny: Tiny, tmp_path: Path) -> None:
     same(tmp_path, tiny("neatq", ticks=400, **CRITIC), ticks=400)
 
 
-@pytest.mark.usefixtures("without_pictures")
 def test_outputs_that_a_critic_teaches_are_steep_in_the_arena_alone(
     tiny: Tiny, tiny_walk: Tiny, tmp_path: Path
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -197,6 +198,7 @@ def test_rounds_are_whole_where_a_stage_ends_within() -> None:
     assert sum(scored for scored, _ in rounds.tallies[0][1]) == hits > 0
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_fittest_of_a_later_stage_are_fit_by_its_weights_after_a_resume(tmp_path: Path) -> None:
     stages = [
         {"ticks": 160, "reward_weights": {"approach_enemy": 1.0}},
@@ -218,6 +220,7 @@ def test_the_fittest_of_a_later_stage_are_fit_by_its_weights_after_a_resume(tmp_
         )
 
 
+@pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.parametrize("arm", ["rtneat", "neatq"])
 def test_a_run_in_a_league_goes_on_as_if_it_had_not_been_stopped(tmp_path: Path, arm: str) -> None:
     kwargs = {**SMALL, "against": ["league"]}
@@ -232,6 +235,7 @@ def test_a_run_in_a_league_goes_on_as_if_it_had_not_been_stopped(tmp_path: Path,
     assert len(rounds) == 1 + 2 * 720 // 80
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_pairs_of_rivals_are_the_same_in_any_number_of_processes(tmp_path: Path) -> None:
     kwargs = {**SMALL, "against": ["league"]}
     for workers in (1, 2):
@@ -269,6 +273,7 @@ def test_a_run_is_measured_by_teams_that_it_never_meets(tmp_path: Path) -> None:
     expected = sum((points | {"blue": 1}).get(one, 0) for one in ours)
     expected += sum((points | {"red": 1}).get(one, 0) for one in theirs)
     assert share_of_wins(team, others, scenario) == expected / 4
+    assert {"champion.png", "curves.png", "team.gif"} <= set(os.listdir(run.folder))
     opponents = (tmp_path / "run" / "rounds.csv").read_text()
     assert "team0.gz" in opponents
     assert "team1.gz" not in opponents

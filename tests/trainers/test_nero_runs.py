@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -23,16 +24,18 @@ def _metrics(folder: Path) -> str:
     return (folder / "metrics.csv").read_text()
 
 
+@pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.parametrize("arm", ["rtneat", "neatq"])
 def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path: Path, arm: str) -> None:
-    nq.train("nero", arm, ticks=800, out=tmp_path / "whole", env_kwargs=SMALL, seed=3)
-    nq.train("nero", arm, ticks=400, out=tmp_path / "parts", env_kwargs=SMALL, seed=3)
-    nq.resume(tmp_path / "parts", ticks=800)
+    nq.train("nero", arm, ticks=480, out=tmp_path / "whole", env_kwargs=SMALL, seed=3)
+    nq.train("nero", arm, ticks=240, out=tmp_path / "parts", env_kwargs=SMALL, seed=3)
+    nq.resume(tmp_path / "parts", ticks=480)
     assert _metrics(tmp_path / "parts") == _metrics(tmp_path / "whole")
     champions = [nq.load_genome(tmp_path / name / "champion.json") for name in ("whole", "parts")]
     assert champions[0].to_json() == champions[1].to_json()
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_curriculum_changes_fields_and_weights_at_the_tick_that_it_says(tmp_path: Path) -> None:
     file = tmp_path / "two.json"
     file.write_text(
@@ -60,6 +63,7 @@ def test_a_curriculum_changes_fields_and_weights_at_the_tick_that_it_says(tmp_pa
     assert all(weights == (approach if tick < 100 else together) for tick, weights in seen)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_weights_that_somebody_changed_are_kept_by_a_resumed_run(tmp_path: Path) -> None:
     class Change(nq.Callback):
         def batch(self, run: Run, batch: TensorDictBase, error: Tensor) -> None:
@@ -80,6 +84,7 @@ def test_weights_that_somebody_changed_are_kept_by_a_resumed_run(tmp_path: Path)
 def test_a_team_of_a_run_fights_and_survives_a_file(tmp_path: Path) -> None:
     field = {**SMALL, "sensors": "opennero-2011", "firing": "2011"}
     nq.train("nero", "rtneat", ticks=200, out=tmp_path / "run", env_kwargs=field)
+    assert {"champion.png", "curves.png", "team.gif"} <= set(os.listdir(tmp_path / "run"))
     team = find_team(tmp_path / "run")
     assert len(team.genomes) == 6
     assert (team.sensors, team.evaluation, team.bias) == ("opennero-2011", "synchronous", 1.0)
@@ -92,6 +97,7 @@ def test_a_team_of_a_run_fights_and_survives_a_file(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_each_arena_of_a_run_is_a_team(tmp_path: Path) -> None:
     out = tmp_path / "run"
     nq.train("nero", "rtneat", ticks=100, out=out, env_kwargs=SMALL, arenas=3, workers=2, seed=4)
@@ -105,6 +111,7 @@ def test_each_arena_of_a_run_is_a_team(tmp_path: Path) -> None:
         find_team(f"{out}:3")
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_team_may_be_the_enemy_of_learners_that_sense_the_same(tmp_path: Path) -> None:
     field = {**SMALL, "sensors": "opennero-2011", "firing": "2011"}
     first = nq.train("nero", "rtneat", env_kwargs=field, ticks=100, out=tmp_path / "run")
@@ -142,6 +149,7 @@ def test_bad_input_is_a_sentence_and_nothing_is_written(
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_only_runs_of_nero_are_teams(tmp_path: Path) -> None:
     nq.train("flag", "rtneat", env_kwargs={"robots": 4}, ticks=100, out=tmp_path / "run")
     with pytest.raises(ConfigError, match="nero"):
