@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote
 
+import gymnasium
 import matplotlib
 import pytest
 
@@ -24,7 +25,6 @@ import neatq_torch
 import neatq_torch.interop
 import neatq_trainers.export
 import neatq_trainers.info
-import neatq_trainers.report
 import neatq_trainers.train
 from neatq_trainers import cli
 
@@ -177,6 +177,7 @@ def test_every_block_has_a_language(page: Path) -> None:
     assert {one[2] for one in FENCE.finditer(text)} <= known
 
 
+@pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.parametrize("page", [one for one in PAGES if blocks(one, "python")], ids=name_of)
 def test_the_python_on_a_page_runs(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -184,9 +185,8 @@ def test_the_python_on_a_page_runs(
     """One block after the other, as a reader would type them."""
     monkeypatch.chdir(tmp_path)
     matplotlib.use("agg")
-    # Results do not depend on these; processes take seconds to start, and films to draw.
-    monkeypatch.setattr(neatq_trainers.train, "fitting_workers", lambda _: 1)
-    monkeypatch.setattr(neatq_trainers.report, "film", lambda *_: [])
+    # Nothing on a page depends on the length of an episode, and most of the time would go there.
+    monkeypatch.setattr(gymnasium.spec("CartPole-v1"), "max_episode_steps", 50)
     names: dict[str, Any] = {"__name__": "__main__"}
     for block in blocks(page, "python"):
         if "docs/study" in block.code:  # a reader is in the folder of the project
