@@ -47,7 +47,7 @@ def holds(saved: Curves, fresh: Curves) -> bool:
 
 
 @pytest.mark.slow
-def test_a_quick_comparison_reproduces_the_saved_one(tmp_path: Path) -> None:
+def test_a_quick_comparison_reproduces_the_saved_one(tmp_path: Path, here: list[str]) -> None:
     arguments = ["compare", "--quick", "--tasks", "flag", "--arms", "rtneat", "replay"]
     assert main([*arguments, "--out", str(tmp_path)]) == 0
     fresh = read_tables(tmp_path)

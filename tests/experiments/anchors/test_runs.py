@@ -15,7 +15,6 @@ import neatq_torch as nq
 from neatq_envs.episodes import EVALUATION, TEST, episode_seeds
 from neatq_envs.gymnasium_rows import make_rows
 from neatq_envs.gymnasium_task import GymnasiumTask
-from neatq_experiments import seeds
 from neatq_experiments.anchors.anchor import EVALUATIONS, AnchorConfig, Trial, anchor_config
 from neatq_experiments.anchors.ppo import Choice
 from neatq_experiments.anchors.run import trainer_of
@@ -42,30 +41,16 @@ def run(task: str, name: str, seed: int = 0, **asked: Any) -> dict[str, Any]:
     return {name: value for name, value in came.items() if name != "forward_us"}
 
 
-@pytest.fixture
-def here(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Run tasks of comparisons in this process; returns the list to which each adds its arm."""
-    ran: list[str] = []
-
-    def run_all(runs: seeds.Runs, planned: list[seeds.SeedTask], jobs: int) -> None:
-        for task in planned:
-            ran.append(task.arm)
-            seeds._perform(runs.run, task)
-
-    monkeypatch.setattr(seeds, "_run", run_all)
-    return ran
-
-
 def no_sb3(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
 
 
 @pytest.mark.parametrize("name", ["sb3-ppo", "sb3-dqn", "ppo"])
 def test_a_run_has_its_steps_and_the_same_seed_gives_the_same(name: str) -> None:
-    asked: Any = {"steps": 1500, "env_kwargs": SHORT}
+    asked: Any = {"steps": 600, "env_kwargs": SHORT}
     one = run(CARTPOLE, name, 3, **asked)
     rollout = {"sb3-ppo": 8 * 32, "sb3-dqn": 256, "ppo": 4 * 128}[name]
-    assert one["all_steps"] == one["steps"][-1] == -(-1500 // rollout) * rollout
+    assert one["all_steps"] == one["steps"][-1] == -(-600 // rollout) * rollout
     wide = 5 * 256 + 257 * 256 + 257 * 2
     assert one["parameters"] == (wide if name == "sb3-dqn" else 4610)
     assert 0 < one["test_return"] <= 50

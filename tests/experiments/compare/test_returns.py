@@ -109,6 +109,7 @@ def test_arms_have_equal_steps_unless_asked_for_another_length() -> None:
         grid([f"gym:{TASK}"], ["qlearning"], quick=False)
 
 
+@pytest.mark.usefixtures("spawned")
 def test_a_comparison_on_a_gymnasium_task_is_that_of_single_runs_and_made_again_from_tables(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
