@@ -96,7 +96,7 @@ def test_a_cell_that_has_changed_is_run_again_and_its_old_results_stay_out(
 def test_quick_runs_are_the_beginning_of_whole_runs(tiny_cells: int, tmp_path: Path) -> None:
     names = ["flag"], ["rtneat", "neatq", "qlearning"]
     quick, whole = grid(*names, quick=True), grid(*names, quick=False)
-    whole = [cell._replace(config=replace(cell.config, ticks=2 * POINT_TICKS)) for cell in whole]
+    whole = [cell._replace(config=replace(cell.config, ticks=POINT_TICKS + 100)) for cell in whole]
     saved = study_of(whole, perform(whole, (0, 1), tmp_path))
     fresh = study_of(quick, perform(quick, (0, 1), tmp_path))
     assert fresh.points == tuple(point for point in saved.points if point.tick == POINT_TICKS)
