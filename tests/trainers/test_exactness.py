@@ -260,7 +260,7 @@ def test_a_resume_of_a_finished_run_changes_nothing(
     assert [content(whole(case) / name) for name in files] == before
 
 
-LONG = {"ticks": 2500, "steps": 10_000}
+LONG = {"ticks": 1200, "steps": 5000}
 """Runs that take seconds, so that a signal meets them on their way."""
 
 

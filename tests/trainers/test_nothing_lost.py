@@ -321,6 +321,7 @@ def test_a_busy_process_ends_within_a_second_of_the_one_that_began_it(
     assert gone == [worker]
 
 
+@pytest.mark.usefixtures("spawned")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_process_that_still_imports_leaves_signals_to_the_one_that_began_it(name: str) -> None:
     remote = Remote(float, 3)
@@ -331,6 +332,7 @@ def test_a_process_that_still_imports_leaves_signals_to_the_one_that_began_it(na
     remote.close()
 
 
+@pytest.mark.usefixtures("spawned")
 def test_nobody_forks_and_a_path_may_have_spaces_and_umlauts(
     config: RunConfig, whole: Path, tiny_walk: Tiny, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -346,7 +348,7 @@ def test_nobody_forks_and_a_path_may_have_spaces_and_umlauts(
             ("walk ü", walk, {"generations": 1}),
         ):
             start(replace(one, **length), folder / name, workers=2)
-            resume(folder / name, ticks=one.ticks, generations=one.generations, workers=2)
+            resume(folder / name, ticks=one.ticks, generations=one.generations, workers=1)
     monkeypatch.undo()
     start(walk, tmp_path / "walk")
     assert (folder / "arena ü" / METRICS).read_bytes() == (whole / METRICS).read_bytes()
