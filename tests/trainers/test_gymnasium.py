@@ -128,7 +128,7 @@ def test_arguments_of_the_environment_reach_it(neatq: Say, toy: str) -> None:
         (["gym:CartPole-v1", "--env-kwargs", "x"], "expected name=value.*'x'"),
         (["gym:CartPole-v1", "--env-kwargs", "x=1"], "cannot be made with"),
         (["TOYSpaces-v0", "--env-kwargs", "observes=text"], "observes Text"),
-        (["TOYEndless-v0"], "did not end in 5000 steps.*max_episode_steps=1000"),
+        (["TOYEndless-v0"], "did not end in 500 steps.*max_episode_steps=1000"),
         (["TOYBroken-v0"], r"episode 0 with seed \d+, after 2 steps: ZeroDivisionError"),
         (
             ["gym:Pendulum-v1", "--arm", "neat+q", "--network.candidates", "1"],
@@ -139,8 +139,9 @@ def test_arguments_of_the_environment_reach_it(neatq: Say, toy: str) -> None:
 )
 @pytest.mark.filterwarnings("ignore")
 def test_bad_input_is_answered_in_one_line(
-    neatq: Say, toy: str, arguments: list[str], pattern: str
+    neatq: Say, toy: str, arguments: list[str], pattern: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("neatq_envs.random_play.MOST_STEPS", 500)  # 5000 take seconds
     status, out, error = neatq("train", "--task", *(one.replace("TOY", toy) for one in arguments))
     assert (status, out) == (2, "")
     assert re.fullmatch(rf"neatq: error: .*{pattern}.*\n", error), error
