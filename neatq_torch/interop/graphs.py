@@ -36,9 +36,9 @@ def to_networkx(genome: Genome) -> networkx.MultiDiGraph:
     import networkx
 
     graph = networkx.MultiDiGraph()
-    for node, kind, activation in _nodes(genome):
+    for node, kind, activation in graph_nodes(genome):
         graph.add_node(node, kind=kind, activation=activation)
-    for source, target, innovation, link in _links(genome):
+    for source, target, innovation, link in graph_links(genome):
         graph.add_edge(source, target, key=innovation, **link)
     return graph
 
@@ -60,14 +60,14 @@ def to_graphviz(genome: Genome) -> str:
     """
     lines = [f"digraph genome_{abs(genome.genome_id)} {{", "    rankdir=LR;"]
     ranks: dict[str, list[int]] = {}
-    for node, kind, activation in _nodes(genome):
+    for node, kind, activation in graph_nodes(genome):
         words = kind if kind in ("input", "bias") else activation
         lines.append(f'    "{node}" [label="{node}\\n{words}", shape={_SHAPES[kind]}];')
         ranks.setdefault("min" if kind in ("input", "bias") else kind, []).append(node)
     for rank, kind in (("source", "min"), ("sink", "output")):
         members = " ".join(f'"{node}";' for node in ranks[kind])
         lines.append(f"    {{ rank={rank}; {members} }}")
-    for source, target, _, link in _links(genome):
+    for source, target, _, link in graph_links(genome):
         weight = link["weight"]
         color = "blue" if weight >= 0 else "red"
         style = "dashed, constraint=false" if link["recurrent"] else "solid"
@@ -79,14 +79,14 @@ def to_graphviz(genome: Genome) -> str:
     return "\n".join([*lines, "}", ""])
 
 
-def _nodes(genome: Genome) -> list[tuple[int, str, str]]:
+def graph_nodes(genome: Genome) -> list[tuple[int, str, str]]:
     """Id, kind and activation of each node."""
     kinds = [NodeKind(kind).name.lower() for kind in genome.node_kind]
     activations = [ACTIVATIONS[code] for code in genome.node_activation]
     return list(zip(genome.node_id.tolist(), kinds, activations, strict=True))
 
 
-def _links(genome: Genome) -> list[tuple[int, int, int, dict[str, Any]]]:
+def graph_links(genome: Genome) -> list[tuple[int, int, int, dict[str, Any]]]:
     """Source, target, innovation and what else there is of each link."""
     names = ("source", "target", "innovation", "weight", "enabled", "recurrent")
     columns = (getattr(genome, f"link_{name}").tolist() for name in names)

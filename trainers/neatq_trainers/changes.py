@@ -254,9 +254,8 @@ def evolving(run: Run) -> RtNEAT:
 
 def explores(run: Run) -> bool:
     """Whether robots now and then take another candidate than the best."""
-    return isinstance(run.policy, CandidatePolicy) and bool(
-        getattr(run.config.learner, "epsilon", 0.0)
-    )
+    chooses = isinstance(run.policy, CandidatePolicy) and run.heads.candidates > 1
+    return chooses and bool(getattr(run.config.learner, "epsilon", 0.0))
 
 
 def present_weights(run: Run) -> dict[str, float]:

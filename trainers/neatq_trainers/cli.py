@@ -15,6 +15,7 @@ from neatq_trainers.signals import handling, is_main_thread
 _COMMANDS = {
     "train": ("neatq_trainers.commands", "train_command"),
     "resume": ("neatq_trainers.commands", "resume_command"),
+    "play": ("neatq_trainers.live.command", "play_command"),
     "export": ("neatq_trainers.export", "export_command"),
     "compare": ("neatq_experiments.command", "compare_command"),
     "reproduce": ("neatq_experiments.command", "reproduce_command"),
@@ -25,13 +26,14 @@ _COMMANDS = {
 }
 """Where the function of each command is."""
 
-_USAGE = """usage: neatq {train,resume,export,compare,reproduce,battle,tournament,list,info} ...
+_USAGE = """usage: neatq COMMAND ...
 
 Neuroevolution that learns during life, on robots in an arena, on any Gymnasium task and in worlds
 of your own.
 
   neatq train       train a population and write a run folder   (neatq train --help)
   neatq resume      go on with a run, exactly where it stopped  (neatq resume --help)
+  neatq play        watch and steer a run in the browser        (neatq play --help)
   neatq export      write a champion as ONNX, C or Python       (neatq export --help)
   neatq compare     run arms beside each other on tasks         (neatq compare --list)
   neatq reproduce   run a published experiment                  (neatq reproduce list)

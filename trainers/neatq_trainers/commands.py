@@ -28,6 +28,7 @@ from neatq_torch.kinds import ARMS_PAGE, WORLDS_PAGE, ConfigError
 from neatq_torch.learning import learner_kinds
 from neatq_trainers import arms
 from neatq_trainers import train as trainer
+from neatq_trainers.callbacks import Callback
 from neatq_trainers.config import LENGTHS
 from neatq_trainers.effects import refuse_without_effect
 from neatq_trainers.folder import CHECKPOINT, FILES, RunFolder
@@ -100,8 +101,15 @@ def _fail(message: str) -> int:
     return 2
 
 
-def train_command(arguments: list[str]) -> None:
+def train_command(arguments: list[str], callbacks: Sequence[Callback] = ()) -> None:
     """`neatq train`."""
+    if "--live" in arguments:
+        from neatq_trainers.live.command import opened, window_options
+
+        own, rest = window_options([one for one in arguments if one != "--live"])
+        with opened(own) as callbacks:
+            train_command([*rest, "--workers", "1"], callbacks)
+        return
     here = Path.cwd()  # an environment may go elsewhere
     chosen, rest = _chosen(arguments)
     given = chosen_names(rest)
@@ -119,7 +127,8 @@ def train_command(arguments: list[str]) -> None:
     refuse_without_effect(config, given)
     folder = trainer.default_folder(config) if options.out is None else options.out
     with _saying_how_to_go_on(folder, here):
-        _say(trainer.start(config, here / folder, workers=options.workers), folder)
+        how: Any = {"workers": options.workers, "changes": chosen.changes, "callbacks": callbacks}
+        _say(trainer.start(config, here / folder, **how), folder)
 
 
 def _chosen(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
@@ -134,6 +143,7 @@ def _chosen(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     first.add_argument("--enemy")
     first.add_argument("--field")
     first.add_argument("--against", nargs="+", action="extend")
+    first.add_argument("--changes", type=Path)
     first.add_argument("--held-out", "--held_out", nargs="+", action="extend")
     try:
         return first.parse_known_args(arguments)
@@ -178,12 +188,13 @@ class ResumeCommand:
     Arenas stay with as many processes as the run was begun with."""
 
 
-def resume_command(arguments: list[str]) -> None:
+def resume_command(arguments: list[str], callbacks: Sequence[Callback] = ()) -> None:
     """`neatq resume`."""
     command = parse(ResumeCommand, "resume", arguments)
     end: Any = {name: getattr(command, name) for name in (*LENGTHS, "until")}
     with _saying_how_to_go_on(command.folder, Path.cwd()):
-        _say(trainer.resume(command.folder, **end, workers=command.workers), command.folder)
+        how: Any = {"workers": command.workers, "callbacks": callbacks}
+        _say(trainer.resume(command.folder, **end, **how), command.folder)
 
 
 def list_command(arguments: list[str]) -> None:

@@ -25,10 +25,13 @@ from neatq_trainers.commands import parse
 from neatq_trainers.folder import CHAMPION, CHECKPOINT, load_run
 from neatq_trainers.policy import ChampionPolicy, load_policy
 
+MOST_TICKS = 20_000
+"""Of a page: a thousand are half a megabyte for fifty robots."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ExportCommand:
-    """Write the champion of a run for other programs.
+    """Write the champion of a run for other programs, or a life of its team as a page.
 
     All files take observations as the environment gives them, flat and not scaled: where a run
     scales observations, that is part of what is written. The ONNX file gives the action; the
@@ -48,6 +51,11 @@ class ExportCommand:
     """Plain Python with the function step."""
     dot: Path | None = None
     """The graph of the genome, for Graphviz."""
+    html: Path | None = None
+    """A page for any browser, in one file, that plays what the team of a run in the arena or on
+    NERO's field does in its next ticks; nobody but the page is needed."""
+    ticks: int = 1000
+    """Of that page."""
 
 
 class ActingChampion(nn.Module):
@@ -76,8 +84,14 @@ class ActingChampion(nn.Module):
 def export_command(arguments: list[str]) -> None:
     """`neatq export`."""
     command = parse(ExportCommand, "export", arguments)
+    if not (command.onnx or command.c or command.python or command.dot or command.html):
+        raise ConfigError(
+            "export: expected at least one of --onnx, --c, --python, --dot and --html FILE"
+        )
+    if command.html is not None:
+        _write_page(command.run, command.html, command.ticks)
     if not (command.onnx or command.c or command.python or command.dot):
-        raise ConfigError("export: expected at least one of --onnx, --c, --python and --dot FILE")
+        return
     genome, policy, comment = _champion_at(command.run)
     try:
         _write(command, genome, policy, comment)
@@ -87,6 +101,15 @@ def export_command(arguments: list[str]) -> None:
     print(f"neatq: {', '.join(str(path) for path in written if path is not None)}")
     for line in comment:
         print(f"neatq: {line}")
+
+
+def _write_page(run: Path, path: Path, ticks: int) -> None:
+    from neatq_trainers.live.recording import page_with, record_life
+
+    if not 1 <= ticks <= MOST_TICKS:
+        raise ConfigError(f"ticks: expected 1 to {MOST_TICKS:,}, got {ticks:,}")
+    write_atomic(path, page_with(record_life(load_run(run), ticks)))
+    print(f"neatq: {path}")
 
 
 def _write(

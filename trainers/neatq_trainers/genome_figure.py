@@ -183,7 +183,7 @@ def node_points(genome: Genome, names: list[str]) -> np.ndarray:
     rows where the first word of an input's name changes, or an output's before its last word.
     """
     kind = genome.node_kind
-    points = np.stack([_node_columns(genome), np.zeros(kind.size)], 1)
+    points = np.stack([node_columns(genome), np.zeros(kind.size)], 1)
     sensors = np.argsort(kind, kind="stable")[: (kind <= NodeKind.BIAS).sum()]  # the bias below
     outputs = np.flatnonzero(kind == NodeKind.OUTPUT)
     left = _name_rows([names[node].split(" ")[0] for node in sensors])
@@ -196,7 +196,7 @@ def node_points(genome: Genome, names: list[str]) -> np.ndarray:
     return points
 
 
-def _node_columns(genome: Genome) -> np.ndarray:
+def node_columns(genome: Genome) -> np.ndarray:
     """Column of each node: hidden nodes by level, at least 1; outputs behind all of them."""
     kind, forward = genome.node_kind, ~genome.link_recurrent
     hidden = np.flatnonzero(kind == NodeKind.HIDDEN)

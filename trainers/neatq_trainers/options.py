@@ -41,7 +41,9 @@ _HELP = """Train a population and write a run folder.
     population.reproduction in config.json are not shown, but have options named like the others."""
 _MORE = """
     out: The run folder; new or empty. Default: runs/TASK-ARM-seedSEED.
-    workers: Processes; the results do not depend on it. Default: those that fit this machine."""
+    workers: Processes; the results do not depend on it. Default: those that fit this machine.
+    changes: The changes.jsonl of a run that somebody has steered, to be repeated in this one.
+    live: Open the training window; see neatq play --help for its options."""
 _RARE = """interspecies_mate_prob multipoint_prob mutation.new_link_tries mutation.split_tries
     mutation.split_old_below mutation.split_weight_scale mutation.hidden_activation
     mutation.forward_from_outputs mutation.recurrent_loop_prob mutation.new_link_weight_power
@@ -78,6 +80,7 @@ def options_of(default: RunConfig, given: Sequence[str]) -> type:
             kind = _twin(own, part, hidden)
             columns.append((part, kind, field(default=kind())))
     columns += [("out", Path | None, None), ("workers", int | None, None)]
+    columns += [("changes", Path | None, None), ("live", bool, False)]
     kind = make_dataclass("TrainOptions", columns, frozen=True, kw_only=True)
     settings = cleandoc(RunConfig.__doc__ or "").partition("\n\n")[2]
     kind.__doc__ = f"{cleandoc(_HELP)}\n\n{settings}{_MORE}"
@@ -93,7 +96,7 @@ def with_options(default: RunConfig, options: Any) -> RunConfig:
     values = {
         one.name: getattr(options, one.name)
         for one in fields(options)
-        if one.name not in ("out", "workers")
+        if one.name not in ("out", "workers", "changes", "live")
     }
     parts = {
         name: _made(getattr(default, name), values[name], name) for name in PARTS if name in values

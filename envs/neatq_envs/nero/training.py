@@ -100,6 +100,8 @@ class TrainingField:
         tick: ticks since the worlds were made.
         tally: hits scored and damage taken by each arena in this round (without rounds: so far),
             int64 [arenas, 2].
+        trail: if somebody made it a list, the poses and the shots of everybody on the first field,
+            tick by tick, see `Field`.
         bounds: the least and the greatest action, float32 [actions], in physical units.
     """
 
@@ -115,6 +117,7 @@ class TrainingField:
         self._enemies, self._rounds = enemies or (no_brains(), 0), rounds
         self.shape = len(self.seeds), self.stages[0].scenario.robots
         self.bounds = action_bounds(self.stages[0].scenario)
+        self.trail: list[tuple[np.ndarray, np.ndarray]] | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -189,6 +192,8 @@ class TrainingField:
             given[: len(own), : own.shape[-1]] = own
             kernels.tick(field, self._ground, self._law, brains, given, rng)
             _robots_of(dead, arenas)[:] = self._fallen(field)[: len(own)]
+        if self.trail is not None:
+            self.trail.append((self.fields[0].pose.copy(), self.fields[0].shot.copy()))
         self.tick += 1
         self.age_ticks = self.age_ticks + 1
         before = self.measures

@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +16,7 @@ from neatq_torch.atomic import write_atomic
 from neatq_trainers.commands import RunStopped, parse
 from neatq_trainers.names import file_name
 from neatq_trainers.nero.figures import draw_duel, draw_matrix
-from neatq_trainers.nero.match import BattleRules
+from neatq_trainers.nero.match import BattleRules, filmed
 from neatq_trainers.nero.match_table import MATCHES, MatchRow
 from neatq_trainers.nero.ranking import (
     RANKING,
@@ -36,10 +34,10 @@ from neatq_trainers.nero.tournament import play_tournament
 from neatq_trainers.report import save_figure
 from neatq_trainers.signals import Terminated
 
-DUEL, MATRIX, BATTLE_FILM = "duel.png", "matrix.png", "battle.gif"
+DUEL, MATRIX = "duel.png", "matrix.png"
+BATTLE_FILM, BATTLE_PAGE = "battle.gif", "battle.html"
 TeamPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TEAM")]
 TeamPaths = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TEAM ...")]
-_FILM_MODULE = "neatq_trainers.nero.animation"
 _MOST_OF = {"ticks": 1_000_000, "robots": 1000, "hit_points": 100_000, "jobs": 1000}
 _INTERRUPTS = (KeyboardInterrupt, Terminated, ProcessEnded, MemoryError, OSError)
 """What stops matches that the same command goes on with."""
@@ -116,7 +114,7 @@ def battle_command(arguments: list[str]) -> None:
         rows = _matches(command, command.matches, teams, out)
         _write_ranking(rows, out)
         save_figure(draw_duel(rows), out / DUEL)
-        film = [BATTLE_FILM] * _write_film(teams, rows[0], command.rules, out / BATTLE_FILM)
+        film = _write_films(teams, rows[0], command.rules, out)
     print(f"neatq: {out}: {', '.join([MATCHES, RANKING, DUEL, *film])}")
 
 
@@ -194,14 +192,18 @@ def _agreement_text(ranking: Sequence[Standing], published: Path) -> str:
     )
 
 
-def _write_film(teams: Sequence[Team], row: MatchRow, rules: BattleRules, path: Path) -> bool:
-    """Write an animation of a match; False where this version draws none."""
-    if find_spec(_FILM_MODULE) is None:
-        return False
+def _write_films(
+    teams: Sequence[Team], row: MatchRow, rules: BattleRules, out: Path
+) -> tuple[str, str]:
+    """Write a match as an animation and as a page that plays it; returns their names."""
+    from neatq_trainers.live.recording import page_with, record_battle
+    from neatq_trainers.nero.animation import battle_gif
+
     blue, red = (next(one for one in teams if one.name == name) for name in row[:2])
-    animate = import_module(_FILM_MODULE).animate
-    animate(blue, red, seed=row.seed, rules=rules, path=path)
-    return True
+    film, names = filmed(blue, red, seed=row.seed, rules=rules), (blue.name, red.name)
+    write_atomic(out / BATTLE_FILM, battle_gif(film, names))
+    write_atomic(out / BATTLE_PAGE, page_with(record_battle(film, names)))
+    return BATTLE_FILM, BATTLE_PAGE
 
 
 @contextmanager
