@@ -22,6 +22,7 @@ from neatq_torch.evolution import population_kinds
 from neatq_torch.learning import LearnerParts, learner_kinds
 from neatq_trainers.config import RunConfig
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
 
@@ -137,10 +138,10 @@ def test_a_world_of_ones_own_is_an_environment_whose_arenas_do_not_meet() -> Non
 
 
 def test_two_arms_train_in_a_world_of_ones_own(tmp_path: Path) -> None:
-    ends = example("own_world")["main"](ticks=600, out=str(tmp_path / "run"))
+    ends = example("own_world")["main"](ticks=300, out=str(tmp_path / "run"))
     assert all(0 < value < 50 for value in ends.values())
     run = nq.load_run(tmp_path / "run-neatq")
-    more = nq.resume(run.folder, ticks=700)
+    more = nq.resume(run.folder, ticks=400)
     assert more.metrics()["generation"][-1] > run.metrics()["generation"].size - 1
     assert run.policy()(torch.zeros(2)).abs().item() <= 1
 
@@ -182,6 +183,7 @@ def test_sb3_evaluates_a_champion_beside_its_agent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(gymnasium.spec("CartPole-v1"), "max_episode_steps", 50)  # 500 take long
     means = example("sb3")["main"](generations=2, steps=128, every=64)
     assert len(means) == 2
     champion = nq.load_policy(tmp_path / "runs" / "beside-ppo")
@@ -202,4 +204,5 @@ def test_sb3_evaluates_a_champion_beside_its_agent(
 
 def test_a_gymnasium_task_is_three_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(gymnasium.spec("CartPole-v1"), "max_episode_steps", 50)
     assert example("gymnasium_task")["main"](generations=1) > 9
