@@ -22,6 +22,7 @@ from benchmarks import (
     replacement,
     startup,
     trainer,
+    window,
 )
 from benchmarks.machine import environment
 from benchmarks.measure import in_fresh_process
@@ -41,6 +42,7 @@ ROWS = {
     "battle": battle,
     "memory": memory,
     "startup": startup,
+    "window": window,
     "gpu": gpu,
 }
 LONG = "million ticks"

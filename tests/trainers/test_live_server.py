@@ -14,6 +14,7 @@ import pytest
 
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.cli import main
+from neatq_trainers.folder import load_run
 from neatq_trainers.live import command
 from neatq_trainers.live.messages import CHANNELS, Choose, Clip, Pause, read_ask
 from neatq_trainers.train import Session, train
@@ -306,3 +307,29 @@ def test_without_a_browser_the_address_is_printed(
     assert "http://127.0.0.1:" in said.out
     assert "no browser was found" in said.err
     assert (tmp_path / "runs" / "play-1" / "metrics.csv").is_file()
+
+
+def test_a_finished_run_stays_and_a_copy_of_it_goes_on(
+    capsys: Any, tmp_path: Path, monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = train("flag", "rtneat", env_kwargs=SMALL, ticks=200, out="runs/mine")
+    before = {path.name: path.read_bytes() for path in run.path.iterdir() if path.is_file()}
+    monkeypatch.setattr(Window, "rows", _stop_at_400)
+    assert main(["play", "runs/mine", "--no-browser", "--speed", "0"]) == 0
+    assert "runs/play-1 goes on from there" in capsys.readouterr().out
+    assert load_run("runs/play-1").metrics()["tick"][-1] == 400
+    assert before == {path.name: path.read_bytes() for path in run.path.iterdir()}
+
+
+def _stop_at_400(_: Window, session: Session, rows: Any) -> None:
+    session.stop |= session.lengths["ticks"] >= 400
+
+
+def test_a_run_of_several_processes_is_refused_in_a_sentence(
+    capsys: Any, tmp_path: Path, monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    train("flag", "rtneat", env_kwargs=SMALL, ticks=80, arenas=2, workers=2, out="runs/two")
+    assert main(["play", "runs/two", "--ticks", "400", "--no-browser"]) == 2
+    assert "begin a run with --workers 1" in capsys.readouterr().err

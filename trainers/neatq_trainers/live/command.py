@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import webbrowser
 from collections.abc import Iterator
@@ -20,7 +21,8 @@ _PLAY_HELP = """usage: neatq play [RUN] [-h] [OPTIONS]
 Open a page in the browser in which robots learn while you watch: choose the speed, move walls and
 flags, change rewards, click a robot and see its network think, keep teams, let them fight.
 
-  RUN           a run folder, with which it goes on; without one a run begins (runs/play-...)
+  RUN           a run folder, with which it goes on, or with a copy of it (runs/play-N) if it has
+                its whole length; without a RUN one begins (runs/play-N)
   --port N      the first port to try (8642)
   --host ADDR   where to listen. Default: this machine alone. With 0.0.0.0 everybody who can reach
                 the machine and has the address with its token can watch and change the run
@@ -46,7 +48,7 @@ def play_command(arguments: list[str]) -> None:
         from neatq_trainers.live.window import ENDLESS_TICKS
 
         if rest and not rest[0].startswith("-"):
-            resume_command([*rest, "--workers", "1"], callbacks)
+            resume_command([*_with_life_left(rest), "--workers", "1"], callbacks)
             return
         given = {one.partition("=")[0] for one in rest}
         if not given & {"--ticks", "--steps", "--generations"} and not _is_gymnasium(rest):
@@ -100,6 +102,20 @@ def opened(options: argparse.Namespace) -> Iterator[list[Callback]]:
         if not options.no_browser and not webbrowser.open(server.url):
             print("neatq: no browser was found here; open that address in one", file=sys.stderr)
         yield [Window(hub, options.speed or None)]
+
+
+def _with_life_left(arguments: list[str]) -> list[str]:
+    """What to resume: where a run has its whole length a copy without end, and it stays."""
+    from neatq_trainers.folder import load_run
+    from neatq_trainers.live.window import ENDLESS_TICKS
+
+    run = load_run(arguments[0])
+    if any(one.startswith("--") for one in arguments) or not run.is_finished():
+        return arguments
+    copy, (unit, _) = _free_folder(), run.config.length
+    shutil.copytree(run.path, copy, ignore=shutil.ignore_patterns("*.lock", ".*"))
+    print(f"neatq: {arguments[0]} has its whole length; {copy} goes on from there", flush=True)
+    return [str(copy), f"--{unit}", str(ENDLESS_TICKS)]
 
 
 def _is_gymnasium(arguments: list[str]) -> bool:

@@ -86,6 +86,17 @@ class Window(Callback):
         self._asked = threading.Event()
         hub.listen(self._asked.set)
 
+    def __getstate__(self) -> None:
+        """Refuse to be sent to another process.
+
+        Raises:
+            ConfigError: Always.
+        """
+        raise ConfigError(
+            "the window looks into one process, and this run was begun with several, which it "
+            "keeps; begin a run with --workers 1, or with neatq play"
+        )
+
     # ------------------------------------------------------------------------ while it trains
     def start(self, session: Session) -> None:
         """Read what the run has said so far."""
