@@ -286,7 +286,7 @@ def test_a_run_is_measured_by_teams_that_it_never_meets(tmp_path: Path) -> None:
         ("committed", {"against": ["present"]}, "twice"),
         ("committed", {"held_out": ["team.gz"]}, "twice"),
         ("rtneat", {"against": ["team.gz", "team.gz"]}, "different names"),
-        ("rtneat", {"held_out": ["."]}, "folder"),
+        ("rtneat", {"held_out": ["."]}, "no run"),
     ],
 )
 def test_who_cannot_play_in_a_league_is_told_at_the_start(

@@ -119,6 +119,10 @@ def test_a_team_may_be_the_enemy_of_learners_that_sense_the_same(tmp_path: Path)
     enemy = {"enemy": str(tmp_path / "team.gz")}
     run = nq.train("nero", "rtneat", env_kwargs=field | enemy, ticks=100, out=tmp_path / "more")
     assert np.isfinite(run.metrics()["enemy_distance"]).all()
+    learnt = {"enemy": str(first.folder)}  # as it is: another bias than that of a file
+    run = nq.train("nero", "rtneat", env_kwargs=field | learnt, ticks=100, out=tmp_path / "again")
+    assert np.isfinite(run.metrics()["enemy_distance"]).all()
+    assert nq.load_run(run.folder).config.world.enemy == str(first.folder)
     with pytest.raises(ConfigError, match="opennero-2011"):
         nq.train("nero", "rtneat", env_kwargs=SMALL | enemy, ticks=100, out=tmp_path / "no")
     assert not (tmp_path / "no").exists()
@@ -133,6 +137,7 @@ def test_a_team_may_be_the_enemy_of_learners_that_sense_the_same(tmp_path: Path)
         (["--task", "nero", "--reward", "hit_target=nan"], "reward_weights"),
         (["--task", "nero", "--reward", "hit_target=0"], "reward_weights"),
         (["--task", "nero", "--enemy", "nobody.gz"], "nobody.gz"),
+        (["--task", "nero", "--enemy", "."], "no run"),
         (["--task", "nero", "--field", "nowhere"], "nowhere"),
         (["--task", "nero", "--env-kwargs", "robots=0"], "robots"),
         (["--task", "nero", "--env-kwargs", "turrets=[[0,0]]"], "turrets"),

@@ -29,11 +29,12 @@ _HELP = """Train a population and write a run folder.
     of the Gymnasium environment (continuous=true); values are JSON
     --reward NAME=WEIGHT ...: what counts on --task nero, of stand_ground, stick_together,
     approach_enemy, approach_flag, hit_target and avoid_fire
-    --enemy turrets, none, or the file of a team: against whom, on --task nero
-    --against league, present or files of OpenNERO: opponents that change from round to round, on
+    --enemy turrets, none, or a team, which is a file of OpenNERO or a run folder (FOLDER:N for its
+    arena N): against whom, on --task nero
+    --against league, present or teams: opponents that change from round to round, on
     --task nero; league: a second population that learns, too, and what both once were; present:
     that population alone; a round has 1,000 ticks (--env-kwargs round_ticks=N)
-    --held-out files of OpenNERO: teams that no learner meets, by which progress is measured every
+    --held-out TEAM ...: teams that no learner meets, by which progress is measured every
     10 rounds, on --task nero
     --field nero, battle, drill (a curriculum) or FILE.json: where, on --task nero
 

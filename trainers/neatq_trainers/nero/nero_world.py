@@ -15,7 +15,7 @@ from neatq_torch.learning import CandidateHeads, Heads
 from neatq_torch.learning.heads import ValueRange
 from neatq_trainers.nero.brains import team_brains
 from neatq_trainers.nero.league import HALL_GENOMES, LEAGUE, PRESENT, RIVAL_NAME, League
-from neatq_trainers.nero.teams import FIRING_OF, Team, fittest_team, read_team
+from neatq_trainers.nero.teams import FIRING_OF, Team, fittest_team
 from neatq_trainers.world import RobotsConfig, World, return_range
 
 NERO = "nero"
@@ -30,12 +30,12 @@ class NeroConfig(RobotsConfig):
     Attributes:
         stages: The field, or several one after the other, of which the last has no end;
             `--env-kwargs` changes keys of all, such as robots=30.
-        enemy: "turrets" (those of the scenario), "none", or the path of a team, which fights as it
-            is.
+        enemy: "turrets" (those of the scenario), "none", or a team, which fights as it is: the path
+            of an OpenNERO file or of a run folder (FOLDER:N for its arena N).
         against: Opponents that change from round to round: "league" (a rival population as it is,
-            and what both once were), "present" (the rival alone), paths of teams; see `League`.
+            and what both once were), "present" (the rival alone), teams; see `League`.
         round_ticks: Length of a round, with which all lives end.
-        held_out: Paths of teams that no learner meets; how many matches are won against them is
+        held_out: Teams that no learner meets; how many matches are won against them is
             measured every 10 rounds.
     """
 
@@ -132,9 +132,9 @@ def teams_of(config: NeroConfig) -> dict[str, list[Team]]:
 
 
 def _team(what: str, path: str, config: NeroConfig) -> Team:
-    if Path(path).is_dir():
-        raise ConfigError(f"{what}: {path}: expected a team file of OpenNERO, got a folder")
-    team = read_team(Path(path))
+    from neatq_trainers.nero.run_teams import find_team  # it reads runs, which know this world
+
+    team = find_team(path)
     if team.sensors != config.schema:
         raise ConfigError(
             f"{what}: {team.name}: expected a team that senses {config.schema!r}, as the "
