@@ -32,7 +32,7 @@ WHEEL_DIR := build/wheel
 export OMP_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help train test docs bench fuzz soak format clean
+.PHONY: help train test style compiled docs bench fuzz soak format clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' Makefile
@@ -42,14 +42,21 @@ train: $(VENV)/train.stamp ## train (TASK, ARM, TICKS or GENERATIONS, ARENAS, SE
 	    --out $(OUT)
 
 test: $(VENV)/test.stamp ## check everything: style, types, layers, wheel, site, tests, notebooks
+	$(MAKE) --no-print-directory --jobs 2 style compiled
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+# Both take one core, for about as long.
+style:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/lint-imports
 	rm -rf $(WHEEL_DIR)
 	$(BIN)/python -m build --wheel --no-isolation --outdir $(WHEEL_DIR)
 	$(BIN)/check-wheel-contents $(WHEEL_DIR)
-	$(BIN)/python -m pytest -n $(WORKERS)
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+compiled:
+	$(BIN)/python tests/compiled.py
 
 docs: $(VENV)/docs.stamp ## build the site into build/site; a broken link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict

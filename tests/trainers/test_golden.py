@@ -106,10 +106,6 @@ SHORT: dict[str, RunConfig] = {
     "replay-plastic": switched("replay", PLASTIC),
     "CartPole-v1 neat": gym("CartPole-v1", "neat", size(20, 2)),
     "CartPole-v1 neat+q": gym("CartPole-v1", "neat+q", size(12, 3)),
-    "MountainCarContinuous-v0 neat": gym("MountainCarContinuous-v0", "neat", size(10, 1)),
-    "MountainCarContinuous-v0 neat+q": gym(
-        "MountainCarContinuous-v0", "neat+q", size(5, 1), generations=2
-    ),
     "qnetwork": gym("CartPole-v1", "qnetwork", {**size(2, 5), "world.evaluated": 2}),
     "neat+q by wires": gym("Pendulum-v1", "neat+q", {**size(5, 1), **WIRES_AT_EVERY_STEP}),
     "neat+q, lamarckian": gym("CartPole-v1", "neat+q", {"learner.inheritance": "lamarckian"}),
@@ -125,6 +121,11 @@ SHORT: dict[str, RunConfig] = {
     ),
 }
 LONG: dict[str, RunConfig] = {
+    # Episodes of a thousand steps; those of CartPole tell as much of both arms.
+    "MountainCarContinuous-v0 neat": gym("MountainCarContinuous-v0", "neat", size(10, 1)),
+    "MountainCarContinuous-v0 neat+q": gym(
+        "MountainCarContinuous-v0", "neat+q", size(5, 1), generations=2
+    ),
     **{
         f"{task} {arm}, long": arena(task, arm, 4000)
         for task in ("flag", "wall")
@@ -159,8 +160,6 @@ DIGESTS: dict[str, tuple[str, ...]] = {
     "replay-plastic": ("a409a78144b15b3a", "8dec1f8b0f01ebc2"),
     "CartPole-v1 neat": ("54b6dba189361b5b", "28e3a8b055e255b8"),
     "CartPole-v1 neat+q": ("0e2ae181edd3240b", "c1d5d0444ebc8aa6"),
-    "MountainCarContinuous-v0 neat": ("a79da92e6be6266c", "02e90f02306df9e9"),
-    "MountainCarContinuous-v0 neat+q": ("d08d6a6effa0b885", "1e60145da323b861"),
     "qnetwork": ("024d619f37cd6247", "c1c4d2da64745a27"),
     "neat+q by wires": ("4d9c267dd133ab19", "93dc05cdf63dda59"),
     "neat+q, lamarckian": ("ca5db6544350892a", "dc3718df8f254505"),
@@ -168,6 +167,8 @@ DIGESTS: dict[str, tuple[str, ...]] = {
     "neat+q, range of values": ("31fa9037990b1334", "75f3f9c9829d96ca"),
     "neat, layered": ("91ac1e712b1dbb74", "54a41e0587f8cfcb"),
     "neat, synchronous": ("00531c482bd8bc5f", "6b560e63b1378e4d"),
+    "MountainCarContinuous-v0 neat": ("a79da92e6be6266c", "02e90f02306df9e9"),
+    "MountainCarContinuous-v0 neat+q": ("d08d6a6effa0b885", "1e60145da323b861"),
     "flag rtneat, long": ("182f33aa957f9ede", "dbed7dfc3d8d181f"),
     "flag committed, long": ("03fbf5215a41000a", "c0f0f6c9af0bab85"),
     "flag described, long": ("729eaca80ec5e791", "bff49518054c9620"),
