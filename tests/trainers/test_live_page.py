@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from neatq_trainers.folder import load_run
 
@@ -25,7 +27,8 @@ CHROMIUM = next(
 )
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-sync"]
 PICTURES = Path(__file__).parents[2] / "docs" / "live"
-"""Of the docs; NEATQ_PICTURES=1 takes them anew."""
+"""Of the docs; NEATQ_PICTURES=1 takes them anew, which takes some minutes."""
+TAKEN = bool(os.environ.get("NEATQ_PICTURES"))
 pytestmark = pytest.mark.skipif(
     CHROMIUM is None,
     reason="no Chromium on this machine, so the page is not driven (apt install chromium)",
@@ -159,13 +162,6 @@ def until(condition: Callable[[], Any], seconds: float = 30.0) -> Any:
     return found
 
 
-def picture(reader: Reader, name: str) -> None:
-    """Take a picture for the docs, if they are taken anew."""
-    if os.environ.get("NEATQ_PICTURES"):
-        PICTURES.mkdir(exist_ok=True)
-        reader.page.screenshot(path=PICTURES / f"{name}.png")
-
-
 def test_robots_are_seen_to_move(reader: Reader) -> None:
     first = reader.get("[0, 1, 2, 3].map((slot) => neatq.placeOf(slot))")
     reader.wait_for(
@@ -183,7 +179,6 @@ def test_a_wall_that_is_dragged_is_found_in_the_scenario(reader: Reader, played:
     wall = change["scenario"]["walls"][0]
     assert (wall["x"], wall["y"]) == pytest.approx((500, 450), abs=4)
     reader.wait_for("Math.abs(neatq.state.scenario.walls[0].x - 500) < 4")
-    picture(reader, "edit")
 
 
 def test_what_cannot_be_is_told_and_goes_back(reader: Reader) -> None:
@@ -226,7 +221,6 @@ def test_a_robot_that_is_clicked_shows_its_network(reader: Reader) -> None:
     assert len(values) == 5
     assert values[1:] == sorted(values[1:], reverse=True)
     assert reader.page.locator("#network").is_visible()
-    picture(reader, "robot")
 
 
 def test_paused_it_stands_and_a_step_is_one_stride(reader: Reader) -> None:
@@ -262,7 +256,6 @@ def test_a_good_robot_is_marked_protected_and_bred(reader: Reader, played: Playe
     until(lambda: recorded(played, "breed"))
     reader.page.click("#replace")
     until(lambda: recorded(played, "replace"))
-    picture(reader, "marked")
 
 
 def test_two_pages_look_at_one_run_and_a_phone_is_one(
@@ -275,7 +268,6 @@ def test_two_pages_look_at_one_run_and_a_phone_is_one(
     phone.page.click("#pause")
     reader.wait_for("neatq.state.paused")
     phone.page.click("#pause")
-    picture(phone, "phone")
     phone.close()
 
 
@@ -326,5 +318,91 @@ def test_a_page_in_one_file_plays_without_anybody(played: Played, here: Path, br
     reader.page.locator("#robots-table tbody tr").nth(3).click()
     reader.wait_for("neatq.robot?.network?.links.length > 0")
     assert [one for one in asked if not one.startswith(("file:", "data:", "blob:"))] == []
-    picture(reader, "file")
     reader.close()
+
+
+# ------------------------------------------------------------------------------------ pictures
+
+
+def neatq(here: Path, *words: str) -> None:
+    subprocess.run([sys.executable, "-m", "neatq_trainers", *words], cwd=here, check=True)
+
+
+WIDE = {"width": 1340, "height": 830}
+
+
+def stand(reader: Reader, share: float) -> None:
+    """Pause when a share of a life is over, or a stride later."""
+    tick = "Number(document.querySelector('#tick').dataset.tick) % 1000"
+    reader.wait_for(f"{tick} >= {1000 * share} && {tick} < {1000 * share + 100}")
+    reader.page.click("#pause")
+    reader.wait_for("neatq.state.paused")
+    time.sleep(2)  # for what is still to be drawn
+
+
+def picture(reader: Reader, name: str, **part: Any) -> None:
+    """What a page shows, as small as it can be."""
+    PICTURES.mkdir(exist_ok=True)
+    content = Image.open(io.BytesIO(reader.page.screenshot(**part)))
+    content.convert("RGB").save(PICTURES / f"{name}.png", optimize=True)
+
+
+@pytest.mark.skipif(not TAKEN, reason="NEATQ_PICTURES=1 takes the pictures of the docs")
+def test_pictures_of_a_team_at_a_wall(browser: Any, tmp_path: Path) -> None:
+    neatq(tmp_path, "train", "--task", "wall", "--ticks", "12000", "--out", "runs/play-1")
+    run = Played(tmp_path, "runs/play-1", "--ticks", "1000000", "--speed", "120")
+    reader = Reader(browser, run.url, viewport=WIDE)
+    reader.wait_for("window.neatq?.state && neatq.stats.clips_received > 3")
+    stand(reader, 0.3)
+    picture(reader, "window")
+    reader.page.click("#edit")
+    wall = reader.get("neatq.state.scenario.walls[0]")
+    reader.drag((wall["x"], wall["y"]), (wall["x"] + 60, wall["y"] + 20))
+    reader.wait_for(f"neatq.state.scenario.walls[0].x > {wall['x'] + 50}")
+    time.sleep(1)
+    picture(reader, "edit")
+    reader.page.click("#edit")
+    reader.page.click("#undo")
+    cells = "[...document.querySelectorAll('#robots-table tbody tr')].map((row) => row.cells[1])"
+    fitness = reader.get(f"{cells}.map((cell) => parseFloat(cell.textContent) || 0)")
+    reader.page.locator("#robots-table tbody tr").nth(fitness.index(max(fitness))).click()
+    reader.page.click("#pause")
+    reader.wait_for("!neatq.state.paused && neatq.robot?.network")
+    stand(reader, 0.3)
+    reader.page.click("#prefer")
+    reader.page.click("#protect")
+    reader.wait_for("neatq.state.protected.length && neatq.state.preferred.length")
+    time.sleep(1)
+    picture(reader, "robot")
+    reader.close()
+    phone = Reader(browser, run.url, viewport={"width": 390, "height": 844}, color_scheme="dark")
+    phone.wait_for("window.neatq?.stats.clips_received > 0 || neatq?.state")
+    phone.page.click("#pause")
+    stand(phone, 0.3)
+    picture(phone, "phone")
+    phone.close()
+    run.stop()
+    neatq(tmp_path, "export", "runs/play-1", "--html", "life.html")
+    file = Reader(browser, (tmp_path / "life.html").as_uri(), viewport=WIDE)
+    file.wait_for("neatq.placeOf(3) !== null")
+    time.sleep(5)
+    picture(file, "file", clip={"x": 0, "y": 0, "width": 1340, "height": 640})
+    file.close()
+
+
+@pytest.mark.skipif(not TAKEN, reason="NEATQ_PICTURES=1 takes the pictures of the docs")
+def test_pictures_of_a_team_that_fights(browser: Any, tmp_path: Path) -> None:
+    reward = ["--reward", "approach_enemy=0.5", "hit_target=1"]
+    task = ["--task", "nero", *reward]
+    neatq(tmp_path, "train", *task, "--ticks", "10000", "--out", "runs/play-1")
+    neatq(tmp_path, "train", *task, "--ticks", "2000", "--out", "runs/beginners")
+    run = Played(tmp_path, "runs/play-1", "--ticks", "1000000", "--speed", "120")
+    reader = Reader(browser, run.url, viewport=WIDE)
+    reader.wait_for("window.neatq?.state && neatq.stats.clips_received > 3")
+    reader.page.select_option("#opponent", "runs/beginners")
+    reader.page.click("#battle")
+    reader.page.wait_for_selector("#timeline-back", state="visible")
+    time.sleep(6)
+    picture(reader, "battle")
+    reader.close()
+    run.stop()
