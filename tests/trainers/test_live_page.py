@@ -197,8 +197,9 @@ def test_undo_takes_the_last_change_back(reader: Reader) -> None:
 def test_a_slider_changes_what_it_says(reader: Reader, played: Played) -> None:
     reader.slide("#exploration-epsilon", 0.2)
     until(lambda: recorded(played, "exploration"))
-    value = reader.get("neatq.state.exploration.epsilon")
-    assert recorded(played, "exploration")[-1]["epsilon"] == pytest.approx(value)
+    value = recorded(played, "exploration")[-1]["epsilon"]
+    assert value == pytest.approx(0.2, abs=0.01)
+    reader.wait_for(f"Math.abs(neatq.state.exploration.epsilon - {value}) < 1e-6")  # told later
     reader.slide("#lifetime", 300)
     until(
         lambda: [one for one in recorded(played, "scenario") if "lifetime_ticks" in one["scenario"]]
