@@ -249,3 +249,14 @@ def test_a_damaged_record_is_told_with_its_line(tmp_path: Path) -> None:
     path.write_bytes(b'{"tick":40,"change":{"kind":"replace","slot":1}}\n{"tick":0}\n')
     with pytest.raises(ConfigError, match=r"changes.jsonl:2: not a change"):
         Record(path)
+
+
+def test_what_a_script_asks_for_again_while_it_is_repeated_is_refused(
+    steered: tuple[RunFolder, Hand], tmp_path: Path
+) -> None:
+    killed = run(tmp_path / "run", callbacks=[Hand(steering()), Stop(240)])
+    (killed.path / ch.CHANGES).write_bytes((steered[0].path / ch.CHANGES).read_bytes())
+    script = Hand({tick: asked for tick, asked in steering().items() if tick > 240})
+    again = resume(killed.path, callbacks=[script])
+    assert same(steered[0], again)
+    assert "repeats what was changed up to tick 720" in script.refusals[0]

@@ -275,6 +275,9 @@ def test_a_speed_is_kept_to(tmp_path: Path) -> None:
         (["--port", "many"], "invalid int value"),
         (["--speed", "-1"], "speed: expected 0 to 100,000"),
         (["--host", "256.0.0.1"], "256.0.0.1"),
+        (["--workers", "4"], "workers: expected 1 with a window"),
+        (["--task", "nosuch"], "nosuch"),
+        (["runs/none"], "runs/none"),
     ],
 )
 def test_play_refuses_bad_options_in_a_sentence(
@@ -282,7 +285,9 @@ def test_play_refuses_bad_options_in_a_sentence(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["play", "--no-browser", *arguments]) == 2
-    assert words in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert words in said.err
+    assert "http" not in said.out or "256" in words
     assert list(tmp_path.iterdir()) == []
 
 

@@ -312,11 +312,18 @@ class Record:
         if whole != content:  # killed while a line was written, whose change was never made
             os.truncate(path, len(whole))
         self.entries = _recorded(whole, path)
+        self._repeated = -1
         if len(self.entries) < made:
             raise CheckpointError(
                 f"{path}: expected the {made} changes that the run has had, got "
                 f"{len(self.entries)}; restore the file"
             )
+        self._repeat()
+
+    def _repeat(self) -> None:
+        """What was asked for up to the last change that is to be repeated is asked for again."""
+        if self.made < len(self.entries):
+            self._repeated = self.entries[-1].tick
 
     def next_tick(self) -> float:
         """When the next change is to be repeated; infinite where there is none."""
@@ -326,16 +333,16 @@ class Record:
         """Have the changes of another run to repeat; there are none yet."""
         for entry in entries:
             self._append(entry)
+        self._repeat()
 
     def add(self, tick: int, change: AnyChange) -> None:
         """Write a change down that is about to be made.
 
         Raises:
-            ConfigError: While changes are to be repeated.
+            ConfigError: While changes are repeated: what is wanted then was wanted before.
         """
-        if self.made < len(self.entries):
-            last = self.entries[-1].tick
-            raise ConfigError(f"the run repeats what was changed up to tick {last}; wait for it")
+        if tick <= self._repeated:
+            raise ConfigError(f"the run repeats what was changed up to tick {self._repeated}")
         self._append(Recorded(tick, change))
 
     def _append(self, entry: Recorded) -> None:

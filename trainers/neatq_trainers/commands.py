@@ -28,10 +28,10 @@ from neatq_torch.kinds import ARMS_PAGE, WORLDS_PAGE, ConfigError
 from neatq_torch.learning import learner_kinds
 from neatq_trainers import arms
 from neatq_trainers import train as trainer
-from neatq_trainers.callbacks import Callback
 from neatq_trainers.config import LENGTHS
 from neatq_trainers.effects import refuse_without_effect
-from neatq_trainers.folder import CHECKPOINT, FILES, RunFolder
+from neatq_trainers.folder import CHECKPOINT, FILES, RunFolder, load_run
+from neatq_trainers.live.command import opened, window_options
 from neatq_trainers.nero.nero_world import NERO
 from neatq_trainers.options import chosen_names, options_of, refuse_strangers, with_options
 from neatq_trainers.signals import Terminated
@@ -101,15 +101,10 @@ def _fail(message: str) -> int:
     return 2
 
 
-def train_command(arguments: list[str], callbacks: Sequence[Callback] = ()) -> None:
-    """`neatq train`."""
+def train_command(arguments: list[str], window: argparse.Namespace | None = None) -> None:
+    """`neatq train`, with the options of a window through which somebody looks."""
     if "--live" in arguments:
-        from neatq_trainers.live.command import opened, window_options
-
-        own, rest = window_options([one for one in arguments if one != "--live"])
-        with opened(own) as callbacks:
-            train_command([*rest, "--workers", "1"], callbacks)
-        return
+        window, arguments = window_options([one for one in arguments if one != "--live"])
     here = Path.cwd()  # an environment may go elsewhere
     chosen, rest = _chosen(arguments)
     given = chosen_names(rest)
@@ -126,9 +121,11 @@ def train_command(arguments: list[str], callbacks: Sequence[Callback] = ()) -> N
     config = with_options(default, options)
     refuse_without_effect(config, given)
     folder = trainer.default_folder(config) if options.out is None else options.out
-    with _saying_how_to_go_on(folder, here):
-        how: Any = {"workers": options.workers, "changes": chosen.changes, "callbacks": callbacks}
-        _say(trainer.start(config, here / folder, **how), folder)
+    with _saying_how_to_go_on(folder, here, "resume" if window is None else "play"):
+        with opened(window, options.workers) as (workers, callbacks):
+            how: Any = {"changes": chosen.changes, "callbacks": callbacks}
+            run = trainer.start(config, here / folder, workers=workers, **how)
+        _say(run, folder)
 
 
 def _chosen(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
@@ -188,13 +185,16 @@ class ResumeCommand:
     Arenas stay with as many processes as the run was begun with."""
 
 
-def resume_command(arguments: list[str], callbacks: Sequence[Callback] = ()) -> None:
-    """`neatq resume`."""
+def resume_command(arguments: list[str], window: argparse.Namespace | None = None) -> None:
+    """`neatq resume`, with the options of a window through which somebody looks."""
     command = parse(ResumeCommand, "resume", arguments)
     end: Any = {name: getattr(command, name) for name in (*LENGTHS, "until")}
-    with _saying_how_to_go_on(command.folder, Path.cwd()):
-        how: Any = {"workers": command.workers, "callbacks": callbacks}
-        _say(trainer.resume(command.folder, **end, **how), command.folder)
+    again = "resume" if window is None else "play"
+    with _saying_how_to_go_on(command.folder, Path.cwd(), again):
+        load_run(command.folder)
+        with opened(window, command.workers) as (workers, callbacks):
+            run = trainer.resume(command.folder, **end, workers=workers, callbacks=callbacks)
+        _say(run, command.folder)
 
 
 def list_command(arguments: list[str]) -> None:
@@ -221,13 +221,13 @@ class RunStopped(Exception):
 
 
 @contextmanager
-def _saying_how_to_go_on(out: Path, here: Path) -> Iterator[None]:
-    """Add to what stopped a run what to type `here` to go on with it; it is in folder `out`."""
+def _saying_how_to_go_on(out: Path, here: Path, command: str) -> Iterator[None]:
+    """Add to what stopped a run in folder `out` with which `command` to go on from `here`."""
     try:
         yield
     except _STOPS as error:
         begun = (here / out / CHECKPOINT).is_file()
-        advice = f"; go on with: neatq resume {shlex.quote(str(out))}" if begun else ""
+        advice = f"; go on with: neatq {command} {shlex.quote(str(out))}" if begun else ""
         raise RunStopped(error, advice) from error
 
 

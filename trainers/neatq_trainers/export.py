@@ -26,7 +26,7 @@ from neatq_trainers.folder import CHAMPION, CHECKPOINT, load_run
 from neatq_trainers.policy import ChampionPolicy, load_policy
 
 MOST_TICKS = 20_000
-"""Of a page: a thousand are half a megabyte for fifty robots."""
+"""Of a page: a thousand are about a megabyte for fifty robots."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -323,8 +323,13 @@ def film(folder: RunFolder, policy: ChampionPolicy) -> list[np.ndarray]:
     if not isinstance(world, GymnasiumConfig) or result is None:
         return []
     seed = int(episode_seeds(result["champion"]["seed"], 0, 1, purpose=TEST)[0])
+    return episode_film(world.task, policy, seed)
+
+
+def episode_film(task: GymnasiumTask, policy: ChampionPolicy, seed: int) -> list[np.ndarray]:
+    """Likewise of an episode that begins by a seed."""
     try:
-        return _frames(world.task, policy, seed)
+        return _frames(task, policy, seed)
     except BaseException as error:  # whatever it objects to, the run is over
         if isinstance(error, TaskError) or not raised_by_environment(error):
             raise

@@ -15,6 +15,8 @@ from pathlib import Path
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.callbacks import Callback
 
+ENDLESS_TICKS = 100_000_000
+"""Length of a run that somebody plays with, and ends."""
 _NEEDED = ("starlette", "uvicorn", "websockets", "msgspec")
 _PLAY_HELP = """usage: neatq play [RUN] [-h] [OPTIONS]
 
@@ -44,18 +46,15 @@ def play_command(arguments: list[str]) -> None:
     from neatq_trainers.commands import resume_command, train_command
 
     own, rest = window_options(arguments)
-    with opened(own) as callbacks:
-        from neatq_trainers.live.window import ENDLESS_TICKS
-
-        if rest and not rest[0].startswith("-"):
-            resume_command([*_with_life_left(rest), "--workers", "1"], callbacks)
-            return
-        given = {one.partition("=")[0] for one in rest}
-        if not given & {"--ticks", "--steps", "--generations"} and not _is_gymnasium(rest):
-            rest = [*rest, "--ticks", str(ENDLESS_TICKS)]
-        if "--out" not in given:
-            rest = [*rest, "--out", str(_free_folder())]
-        train_command([*rest, "--workers", "1"], callbacks)
+    if rest and not rest[0].startswith("-"):
+        resume_command(_with_life_left(rest), own)
+        return
+    given = {one.partition("=")[0] for one in rest}
+    if not given & {"--ticks", "--steps", "--generations"} and not _is_gymnasium(rest):
+        rest = [*rest, "--ticks", str(ENDLESS_TICKS)]
+    if "--out" not in given:
+        rest = [*rest, "--out", str(_free_folder())]
+    train_command(rest, own)
 
 
 def window_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
@@ -81,13 +80,22 @@ def window_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]
 
 
 @contextmanager
-def opened(options: argparse.Namespace) -> Iterator[list[Callback]]:
-    """A window that serves pages while somebody trains with these callbacks.
+def opened(
+    options: argparse.Namespace | None, workers: int | None
+) -> Iterator[tuple[int | None, list[Callback]]]:
+    """A window that serves pages while somebody trains; gives the workers and the callbacks.
+
+    No options are no window.
 
     Raises:
-        ConfigError: If what it needs is not installed.
+        ConfigError: If what it needs is not installed, or more than one worker is asked for.
         OSError: If no port is free.
     """
+    if options is None:
+        yield workers, []
+        return
+    if workers not in (None, 1):
+        raise ConfigError(f"workers: expected 1 with a window, which is in one, got {workers}")
     missing = [name for name in _NEEDED if find_spec(name) is None]
     if missing:
         raise ConfigError(f"the window needs {', '.join(missing)}: pip install 'neatq_torch[live]'")
@@ -101,13 +109,12 @@ def opened(options: argparse.Namespace) -> Iterator[list[Callback]]:
             print("neatq: whoever reaches this machine and has that address can change the run")
         if not options.no_browser and not webbrowser.open(server.url):
             print("neatq: no browser was found here; open that address in one", file=sys.stderr)
-        yield [Window(hub, options.speed or None)]
+        yield 1, [Window(hub, options.speed or None)]
 
 
 def _with_life_left(arguments: list[str]) -> list[str]:
     """What to resume: where a run has its whole length a copy without end, and it stays."""
     from neatq_trainers.folder import load_run
-    from neatq_trainers.live.window import ENDLESS_TICKS
 
     run = load_run(arguments[0])
     if any(one.startswith("--") for one in arguments) or not run.is_finished():

@@ -73,13 +73,17 @@ class Battle(Ask, frozen=True):
     against: str
 
 
+class Watch(Ask, frozen=True):
+    """Let the champion of a Gymnasium task play an episode."""
+
+
 class Changing(Ask, frozen=True, tag="change"):
     """Change something."""
 
     change: AnyChange
 
 
-AnyAsk = Pause | Go | StepOnce | Speed | Choose | Undo | Save | Load | Battle | Changing
+AnyAsk = Pause | Go | StepOnce | Speed | Choose | Undo | Save | Load | Battle | Watch | Changing
 
 
 def read_ask(text: str | bytes) -> AnyAsk:

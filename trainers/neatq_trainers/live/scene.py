@@ -193,7 +193,7 @@ class Scene:
             observation = run.normalization(batch.get("observation")[..., -1, :])[0, slot]
         message |= {
             "genome_id": genome.genome_id,
-            "born_tick": self._lineage.get(genome.genome_id, ((), 0))[1],
+            "born_tick": self._lineage.get(genome.genome_id, ((), None))[1],
             "age_ticks": _known_ticks(self._ages()[slot]),
             "species": owner.get(slot),
             "fitness": float(population.merit[slot]) if population.eligible[slot] else None,
@@ -268,7 +268,7 @@ class Scene:
         assert self._batch is not None
         following = self._batch.get("next")
         parts = {"learnt from": float(following.get("reward")[0, slot].mean())}
-        vector = following.get("reward_vector", None)
+        vector = following.get("reward_vector", None) if self.has_field else None
         names = REWARD_NAMES if vector is not None and vector.shape[-1] == 6 else REWARD_DIMENSIONS
         if vector is not None:
             weights = self.run.world.present_weights
@@ -314,14 +314,16 @@ class Scene:
     def _ancestors(self, genome_id: int) -> list[dict[str, Any]]:
         """A robot, its parents and theirs, the latest first, as far as they are known."""
         found: list[dict[str, Any]] = []
-        waiting, seen = [genome_id], {genome_id}
+        waiting = {genome_id}
         while waiting and len(found) < MOST_ANCESTORS:
-            waiting.sort()
-            number = waiting.pop()
-            parents, tick = self._lineage.get(number, ((), 0))
-            found.append({"genome_id": number, "parents": list(parents), "born_tick": tick})
-            waiting += [one for one in parents if one not in seen]
-            seen |= {*parents}
+            number = max(waiting)
+            waiting.remove(number)
+            parents, tick = self._lineage.get(number, ((), None))
+            if number <= self.run.shape[1]:
+                tick = 0  # a founder
+            own = sorted({*parents})
+            found.append({"genome_id": number, "parents": own, "born_tick": tick})
+            waiting |= {*own}
         return found
 
     # ------------------------------------------------------------------------ once

@@ -22,12 +22,16 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from neatq_envs.checks import from_json
+from neatq_envs.gymnasium_task import TaskError
 from neatq_envs.scenario import REWARD_DIMENSIONS
 from neatq_torch.atomic import write_atomic
+from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.kinds import ConfigError
 from neatq_trainers import changes as ch
 from neatq_trainers.callbacks import Callback
 from neatq_trainers.changes import AnyChange
+from neatq_trainers.live.command import ENDLESS_TICKS
+from neatq_trainers.live.episode import champion_episode
 from neatq_trainers.live.fights import fight, opponents
 from neatq_trainers.live.messages import (
     Battle,
@@ -39,6 +43,7 @@ from neatq_trainers.live.messages import (
     Speed,
     StepOnce,
     Undo,
+    Watch,
 )
 from neatq_trainers.live.scene import FRAMES_PER_SECOND, Scene, state_words
 from neatq_trainers.live.server import Asked, Hub
@@ -46,13 +51,11 @@ from neatq_trainers.nero.nero_world import NeroConfig
 from neatq_trainers.rows import Row, row_kind
 from neatq_trainers.run import Run
 from neatq_trainers.train import Session
-from neatq_trainers.worlds import ArenaConfig
+from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig
 
 TEAMS = "teams"
 """The folder of teams that were kept, in a run folder."""
 FIRST_SPEED = 60.0
-ENDLESS_TICKS = 100_000_000
-"""Length of a run that somebody plays with, and ends."""
 MOST_ROWS = 2000
 """Of the history that a page gets when it opens."""
 _NAME = re.compile(r"[\w][\w .+-]{0,59}")
@@ -199,7 +202,7 @@ class Window(Callback):
         for asked in self.hub.asked():
             try:
                 self._take(asked)
-            except (*ch.REFUSALS, OSError) as error:
+            except (*ch.REFUSALS, CheckpointError, TaskError, OSError) as error:
                 asked.answer({"type": "refused", "message": str(error)})
 
     def _take(self, asked: Asked) -> None:
@@ -229,6 +232,8 @@ class Window(Callback):
                 session.wanted.append(self._team(name))
             case Battle(against=against):
                 self.hub.tell(fight(self._run(), against))
+            case Watch():
+                asked.answer(champion_episode(session.folder))
             case Changing(change=change):
                 self._inverse[id(change)] = self._before(change)
                 session.wanted.append(change)
@@ -337,7 +342,7 @@ class Window(Callback):
             **scene.introduction(),
             "curves": _curves(session),
             "exploration": {
-                name: {"value": value, "low": 0.001, "high": 1}
+                name: {"value": value, "low": 0.01, "high": 1}
                 for name, value in _exploration(run).items()
             },
             "weights": _sliders(run) if scene.has_field else {},
@@ -368,7 +373,7 @@ def _abilities(run: Run, scene: Scene) -> list[str]:
     able = ["pause", "undo"]
     able += ["exploration"] if _exploration(run) else []
     if not scene.has_field:
-        return able
+        return [*able, "watch"] if isinstance(run.config.world, GymnasiumConfig) else able
     able += ["scenario", "lifetime"]
     able += ["weights"] if _sliders(run) else []
     able += ["hit_points", "battle"] if isinstance(run.config.world, NeroConfig) else []

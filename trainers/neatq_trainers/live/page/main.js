@@ -51,7 +51,7 @@ class Page {
       replace: () => this.change({ kind: "replace", slot: this.chosen }),
       protect: () => this.mark("protect", this.state.protected),
       prefer: () => this.mark("prefer", this.state.preferred),
-      breed: () => this.startBreeding(),
+      breed: () => this.startBreeding(), watch: () => this.send({ type: "watch" }),
     };
     for (const [id, action] of Object.entries(clicks)) byId(id).addEventListener("click", action);
     byId("trails").addEventListener("change", () => {
@@ -114,7 +114,8 @@ class Page {
       species: () => this.addRows(this.species, message.species),
       robot: () => this.setRobot(message), robots: () => this.table.set(message.robots),
       refused: () => this.refuse(message.message), said: () => say(message.message),
-      saved: () => setTeams({ saved: message.saved }), battle: () => this.openBattle(message),
+      saved: () => setTeams({ saved: message.saved }), film: () => this.openFilm(message),
+      battle: () => this.openBattle(message),
     };
     if (message.type === "hello" || this.hello) takers[message.type]?.();
   }
@@ -202,6 +203,7 @@ class Page {
       this.stopBreeding();
       if (slot === null || slot === first) return;
       this.change({ kind: "breed", parents: [first, slot] });
+      say("They have an offspring, which replaces the worst robot.");
       return;
     }
     this.chosen = slot;
@@ -304,7 +306,8 @@ class Page {
     if (!this.hello) return;
     const { unit, total } = this.hello.length ?? { unit: "ticks", total: null };
     const seen = tick ?? this.state.tick;
-    const text = `${short(seen)}${total ? ` of ${short(total)}` : ""} ${unit}`;
+    const whole = total && !this.stage.reel ? ` of ${short(total)}` : "";
+    const text = `${short(seen)}${whole} ${unit}`;
     const told = this.state.over && !this.stage.reel ? `${text} · over` : text;
     if (byId("tick").textContent === told) return;
     byId("tick").textContent = told;
@@ -320,6 +323,9 @@ class Page {
     this.recording = recording;
     this.open({ ...recording.hello, can: [] });
     document.body.classList.add("offline");
+    show(byId("charts"), recording.hello.curves.length > 0);
+    byId("robot-hint").textContent =
+      "Click a robot, or a row of the table, to see its network as it was at the end.";
     this.playReel(new Reel(clips, recording.ticks_per_second, (clip, frame) =>
       this.stage.robots.pass(clip, frame)), this.hello);
     this.stage.reel.offline = true;
@@ -329,6 +335,11 @@ class Page {
     this.stage.play(reel, hello);
     this.timeline.open(reel);
     this.setColour();
+  }
+
+  openFilm({ gif, words }) {
+    Object.assign(byId("film"), { src: gif, alt: words, hidden: false });
+    say(words);
   }
 
   openBattle(battle) {

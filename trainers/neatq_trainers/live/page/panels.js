@@ -108,9 +108,8 @@ export class SpeedSlider {
     return SPEEDS[Number(this.input.value)];
   }
 
-  say() {
-    const times = this.times();
-    const text = times === null ? "as fast as possible" : `${times}×`;
+  say(times = this.times()) {
+    const text = times === null ? "as fast as possible" : `${short(times)}×`;
     byId("speed-text").textContent = times === null ? "max" : text;
     this.input.setAttribute("aria-valuetext", text);
   }
@@ -120,7 +119,7 @@ export class SpeedSlider {
     const far = (times) => (times === null ? Infinity : Math.abs(times - ticksPerSecond / 60));
     const nearest = SPEEDS.reduce((best, one) => (far(one) < far(best) ? one : best));
     this.input.value = SPEEDS.indexOf(ticksPerSecond === null ? null : nearest);
-    this.say();
+    this.say(ticksPerSecond === null ? null : ticksPerSecond / 60);
   }
 
   /** One speed faster or slower. */

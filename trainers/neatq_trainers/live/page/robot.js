@@ -127,13 +127,18 @@ function factsOf(robot) {
   return facts.filter(Boolean).join(" · ");
 }
 
+function originOf(one) {
+  if (one.parents.length) return `born at ${short(one.born_tick)}`;
+  return one.born_tick === 0 ? "founder" : "born before anybody looked";
+}
+
 function treeRows(known, id, depth, seen, rows) {
   const one = known.get(id);
   const again = seen.has(id);
   seen.add(id);
   const parents = again ? [] : one?.parents ?? [];
   let text = again ? "(see above)" : "";
-  if (one && !again) text = parents.length ? `born at ${short(one.born_tick)}` : "founder";
+  if (one && !again) text = originOf(one);
   rows.push({ id, depth, text });
   for (const parent of new Set(parents)) treeRows(known, parent, depth + 1, seen, rows);
 }

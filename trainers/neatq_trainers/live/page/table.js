@@ -52,7 +52,7 @@ export class RobotsTable {
       head.setAttribute("aria-sort", head.dataset.key === this.key ? way : "none");
     }
     const sign = this.down ? -1 : 1;
-    const sorted = [...this.robots].sort((a, b) => sign * compare(a[this.key], b[this.key]));
+    const sorted = [...this.robots].sort((a, b) => compare(a[this.key], b[this.key], sign));
     while (this.body.rows.length > sorted.length) this.body.lastChild.remove();
     sorted.forEach((robot, i) => this.fill(this.body.rows[i] ?? this.newRow(), robot));
   }
@@ -82,11 +82,11 @@ function marksOf(robot) {
   return marks.filter(Boolean).join(", ");
 }
 
-/** Unknown values come last. */
-function compare(a, b) {
+/** Unknown values come last, whichever way the others are sorted. */
+function compare(a, b, sign) {
   const unknown = (one) => one === null || one === undefined || Number.isNaN(one);
   if (unknown(a) || unknown(b)) return unknown(a) - unknown(b);
-  return typeof a === "string" ? a.localeCompare(b) : a - b;
+  return sign * (typeof a === "string" ? a.localeCompare(b) : a - b);
 }
 
 /** What the table shows of a recording, where only clips tell about robots, and `told` of some. */
