@@ -24,6 +24,7 @@ import httpx
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from neatq_trainers.live import server as live_server
 from neatq_trainers.live.server import MOST_CLIPS, MOST_MESSAGES, Client, Hub, Server, bound_socket
 from neatq_trainers.live.window import Window
 
@@ -149,6 +150,26 @@ def test_a_page_that_takes_nothing_is_cut_off_and_never_waited_for() -> None:
     assert client.lost
     states = [one for one in client.messages if one["type"] == "state"]
     assert states == [{"type": "state", "state": MOST_MESSAGES + 9}]
+
+
+def test_a_page_whose_machine_went_to_sleep_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_server, "PING_SECONDS", 0.3)
+    hub = Hub()
+    with (
+        Server(hub, port=8790) as opened,
+        socket.create_connection(("127.0.0.1", opened.port)) as lid,
+    ):
+        token = opened.url.partition("=")[2]
+        lines = [f"GET /socket?token={token} HTTP/1.1", f"Host: 127.0.0.1:{opened.port}"]
+        lines += ["Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"]
+        lines += ["Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "", ""]
+        lid.sendall("\r\n".join(lines).encode())
+        assert b"101" in lid.recv(100)
+        assert hub.watched
+        end = time.monotonic() + 10
+        while hub.watched:  # it answers no ping, and does not close
+            assert time.monotonic() < end
+            time.sleep(0.05)
 
 
 def test_pages_are_told_of_the_robot_that_they_look_into_alone() -> None:

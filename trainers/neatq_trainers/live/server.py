@@ -40,6 +40,8 @@ MOST_MESSAGES = 1000
 """Other messages that wait for a slow page, which is cut off when there are more."""
 SEND_SECONDS = 20.0
 """A page that takes nothing for so long is gone."""
+PING_SECONDS = 20.0
+"""How often a page is asked whether it is still there, and how long its answer may take."""
 PORTS_TRIED = 20
 _LATEST = ("state", "robots", "robot", "saved")
 """Types of which a page needs the latest message alone."""
@@ -203,6 +205,8 @@ class Server:
             log_level="error",
             ws="websockets-sansio",
             ws_max_size=MOST_MESSAGE_BYTES,
+            ws_ping_interval=PING_SECONDS,
+            ws_ping_timeout=PING_SECONDS,
             lifespan="off",
             timeout_graceful_shutdown=1,
         )
