@@ -210,8 +210,10 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
             base="neatq",
             summary="in the arena: fifty networks that follow the critic; nobody is born",
             changes={
-                "population": {"kind": "fixed"},
-                "learner.every": 4,
+                # With steep outputs or hidden nodes the networks soon say the same to everything.
+                "population": {"kind": "fixed", "start": "minimal"},
+                "network.activation": "sigmoid",
+                "learner.every": 8,
                 "learner.teacher_mutation": None,
                 "learner.novelty": None,
             },

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from neatq_experiments.compare.variants import PAPER_ARMS, config_of
 from neatq_experiments.variants import STUDY_GROUPS, STUDY_PARTS, register
 from neatq_torch.learning import EpsilonGreedy
 from neatq_trainers.config import RunConfig
+from neatq_trainers.train import start
 from neatq_trainers.worlds import ArenaConfig
 
 ON_GYMNASIUM = STUDY_GROUPS["critic"]
@@ -128,3 +130,11 @@ def test_explorations_that_last_take_as_many_ticks_as_those_that_do_not() -> Non
         chosen = torch.stack([explore(values) for _ in range(4000)])
         shares.append((chosen != 0).float().mean().item())
     assert shares[0] == pytest.approx(shares[1], rel=0.1)
+
+
+def test_who_learns_alone_learns(tmp_path: Path) -> None:
+    """A control that stands still makes whoever is beside it look good."""
+    config = config_of("flag", "neatq-learning-alone", {"robots": 12, "lifetime_ticks": 500})
+    quick = {"ticks": 4500, "learner.newborn_updates": 100, "learner.updates_per_step": 0.04}
+    distance = start(config.changed(quick), tmp_path / "run").metrics()["mean_distance"]
+    assert distance[-5:].mean() < 0.7 * distance[:5].mean()
