@@ -135,6 +135,7 @@ REFUSED = {
     "robots: expected 12, as it was, got 13": ch.ChangeScenario({"robots": 13}),
     "known: name, width": ch.ChangeScenario({"colour": "red"}),
     "finite": ch.ChangeScenario({"walls": [{**BARRIER, "x": float("nan")}]}),
+    "walls[0]: it lies outside": ch.ChangeScenario({"walls": [{**BARRIER, "x": 5000}]}),
     "robot: expected 0 to 11, got 12": ch.ReplaceRobot(12),
     "expected two robots, got 3 twice": ch.BreedRobots((3, 3)),
     "epsilon: expected above 0": ch.ChangeExploration(0.0),

@@ -287,6 +287,22 @@ def test_the_policy_forbids_scripts_of_others(browser: Any, played: Played) -> N
     strict.page.context.close()
 
 
+def test_a_gymnasium_run_shows_its_curves_and_an_episode_of_its_champion(
+    browser: Any, tmp_path: Path
+) -> None:
+    few = ["--world.slots", "8", "--world.every", "1", "--world.episodes", "2"]
+    run = Played(tmp_path, "--task", "gym:CartPole-v1", "--arm", "neat", *few, "--speed", "0",
+                 "--generations", "500", "--checkpoint-seconds", "0.2")  # fmt: skip
+    reader = Reader(browser, run.url)
+    reader.wait_for("window.neatq?.hello")
+    until((run.folder / "champion.json").exists)
+    assert not reader.page.locator("#field").is_visible()
+    reader.page.click("#watch")
+    reader.wait_for("document.querySelector('#film').naturalWidth > 50")
+    reader.close()
+    run.stop(signal.SIGKILL)
+
+
 def test_a_run_that_was_steered_and_killed_goes_on_as_one_that_was_not(
     played: Played, reader: Reader, here: Path
 ) -> None:

@@ -6,6 +6,7 @@ that a run that is killed and resumed, or begun once more, has the same changes 
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -63,7 +64,13 @@ class ChangeScenario(Change, frozen=True, tag="scenario"):
     def check(self, run: Run) -> None:
         """See `Change`."""
         present = field_of(run).arena.scenario
-        present.refuse_change(self._read(present))
+        wanted = self._read(present)
+        present.refuse_change(wanted)
+        for index, wall in enumerate(wanted.walls):
+            ends = (wall.x, wanted.width), (wall.y, wanted.height)
+            outside = (max(-at, at - end, 0.0) for at, end in ends)
+            if math.hypot(*outside) > math.hypot(wall.width, wall.height) / 2:
+                raise ConfigError(f"walls[{index}]: it lies outside of the field; move it in")
         if run.config.generational and not self.scenario.get("lifetime_ticks", 1):
             raise ConfigError("lifetime_ticks: expected above 0; generations need lives that end")
 
