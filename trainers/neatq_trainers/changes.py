@@ -130,14 +130,18 @@ class ChangeExploration(Change, frozen=True, tag="exploration"):
         run.config = run.config.changed({"learner.epsilon": self.epsilon})  # which rows tell
 
 
-class ReplaceRobot(Change, frozen=True, tag="replace"):
-    """A robot makes room for an offspring of others."""
+class _OfRobot(Change, frozen=True):
+    """Something about the robot in a slot of the first arena."""
 
     slot: int
 
     def check(self, run: Run) -> None:
         """See `Change`."""
         _check_slots(run, self.slot)
+
+
+class ReplaceRobot(_OfRobot, frozen=True, tag="replace"):
+    """A robot makes room for an offspring of others."""
 
     def make(self, run: Run) -> None:
         """See `Change`."""
@@ -162,30 +166,20 @@ class BreedRobots(Change, frozen=True, tag="breed"):
         _begin_again(run, [evolving(run).replace(parents=self.parents)])
 
 
-class ProtectRobot(Change, frozen=True, tag="protect"):
+class ProtectRobot(_OfRobot, frozen=True, tag="protect"):
     """Nobody replaces a robot, or somebody may again."""
 
-    slot: int
     on: bool
-
-    def check(self, run: Run) -> None:
-        """See `Change`."""
-        _check_slots(run, self.slot)
 
     def make(self, run: Run) -> None:
         """See `Change`."""
         _mark(evolving(run), "protected", self.slot, on=self.on)
 
 
-class PreferRobot(Change, frozen=True, tag="prefer"):
+class PreferRobot(_OfRobot, frozen=True, tag="prefer"):
     """A robot is a good one, and has half of all offspring (with others of whom that is said)."""
 
-    slot: int
     on: bool
-
-    def check(self, run: Run) -> None:
-        """See `Change`."""
-        _check_slots(run, self.slot)
 
     def make(self, run: Run) -> None:
         """See `Change`."""
