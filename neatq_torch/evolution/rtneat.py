@@ -253,7 +253,8 @@ class RtNEAT(Population):
         """Let an offspring take a slot, whether one is due or not; `advance` does it when it is.
 
         Args:
-            slot: which; None: that of the worst who can be judged, of all while nobody can.
+            slot: which; None: that of the worst who can be judged, of all while nobody can, but
+                of nobody who is protected: somebody must not be.
             parents: slots of one or two; none: they are chosen as always.
         """
         score, eligible = self.score, self.eligible
@@ -262,7 +263,9 @@ class RtNEAT(Population):
         breeders = self._breeders(score, eligible)
         pioneer = self._pioneer(self.eligible, breeders)
         if slot is None:
-            slot = self._worst(score, eligible, pioneer)
+            free = ~self.slots_of(self.protected)
+            room = eligible & free
+            slot = self._worst(score, room if room.any() else free, pioneer)
         removed = self.genomes[slot].genome_id
         self.speciation.remove(slot)
         mother = None if parents else self._mother(slot, pioneer)
@@ -303,19 +306,19 @@ class RtNEAT(Population):
         self.speciation.count_offspring(self.genomes, self.birth_order)
 
     def _worst(
-        self, score: NDArray[np.float64], eligible: NDArray[np.bool_], pioneer: int | None
+        self, score: NDArray[np.float64], room: NDArray[np.bool_], pioneer: int | None
     ) -> int:
-        """The slot that makes room: of equal ones the oldest."""
+        """The slot among some that makes room: of equal ones the oldest."""
         adjusted = score / self.speciation.sizes(len(self.genomes))
-        adjusted[self.slots_of(self.protected)] = np.inf
         if pioneer is not None:
             adjusted[pioneer] = np.inf
-        oldest_first = self.birth_order[eligible[self.birth_order]]
+        oldest_first = self.birth_order[room[self.birth_order]]
         return int(oldest_first[adjusted[oldest_first].argmin()])
 
     def _mother(self, slot: int, pioneer: int | None) -> int | None:
         """Who has the next offspring alone, a preferred one or the pioneer; None: the others do."""
         preferred = np.flatnonzero(self.slots_of(self.preferred))
+        preferred = preferred[preferred != slot]
         if len(preferred) and self.rng.random() < PREFERRED_SHARE:
             return int(self.rng.choice(preferred))
         share = self.config.pioneer_share or 0

@@ -228,7 +228,6 @@ def test_a_line_that_was_cut_off_was_never_made(tmp_path: Path) -> None:
     whole = path.read_bytes()
     path.write_bytes(whole + whole[:-5])
     assert [one.tick for one in Record(path).entries] == [40]
-    assert path.read_bytes() == whole
 
 
 @pytest.mark.parametrize(
@@ -261,3 +260,66 @@ def test_what_a_script_asks_for_again_while_it_is_repeated_is_refused(
     again = resume(killed.path, callbacks=[script])
     assert same(steered[0], again)
     assert "repeats what was changed up to tick 720" in script.refusals[0]
+
+
+def test_a_change_before_the_first_stride_of_a_resumed_run_keeps_the_worlds(
+    tmp_path: Path,
+) -> None:
+    script = {240: [ch.ReplaceRobot(5), ch.ChangeScenario({"walls": [BARRIER]})]}
+    whole = run(tmp_path / "whole", ticks=600, callbacks=[Hand(script)])
+    stopped = run(tmp_path / "stopped", ticks=600, callbacks=[Stop(240)])
+    (stopped.path / ch.CHANGES).write_bytes((whole.path / ch.CHANGES).read_bytes())
+    assert same(whole, resume(stopped.path))
+
+
+def test_a_gymnasium_run_repeats_its_changes_at_their_ticks(tmp_path: Path) -> None:
+    few = {"world.slots": 6, "world.episodes": 2, "world.every": 2}
+
+    def play(name: str, **how: Any) -> RunFolder:
+        out = tmp_path / name
+        return train("gym:CartPole-v1", "neat+q", settings=few, generations=3, out=out, **how)
+
+    class Explorer(Hand):
+        def rows(self, session: Session, rows: Any) -> None:
+            if session.lengths["generations"] == 1 and not self.made:
+                session.wanted.append(ch.ChangeExploration(0.5))
+
+    one = play("one", callbacks=[Explorer({})])
+    two = play("two", changes=one.path / ch.CHANGES)
+    assert (one.path / "metrics.csv").read_bytes() == (two.path / "metrics.csv").read_bytes()
+    assert two.record.entries == one.record.entries
+    assert two.record.made == 1
+
+
+def test_the_record_of_a_run_of_another_kind_is_refused_in_a_sentence(
+    steered: tuple[RunFolder, Hand], tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match="are not replaced one by one"):
+        record = steered[0].path / ch.CHANGES
+        train("wall", "qlearning", ticks=400, out=tmp_path / "run", changes=record)
+
+
+def test_a_reader_leaves_a_line_that_is_being_written_alone(tmp_path: Path) -> None:
+    path = tmp_path / ch.CHANGES
+    record = Record(path)
+    record.add(40, ch.ReplaceRobot(1))
+    with path.open("ab") as file:
+        file.write(b'{"tick":80,"cha')
+    before = path.read_bytes()
+    assert len(Record(path).entries) == 1
+    assert path.read_bytes() == before
+    record.add(80, ch.ReplaceRobot(2))
+    assert [one.tick for one in Record(path).entries] == [40, 80]
+
+
+def test_breeding_spares_who_is_protected_and_nobody_is_its_own_heir() -> None:
+    config = RtNEATConfig(minimum_life_ticks=10)
+    population = RtNEAT.start(config, slots=4, inputs=2, outputs=1, rng=0)
+    ids = [genome.genome_id for genome in population.genomes]
+    population.protected = {*ids[:3]}
+    assert population.replace(parents=(0, 1)).slot == 3
+    population.preferred = {ids[0]}
+    for _ in range(20):
+        assert population.replace(0).parents != (ids[0],)
+        population.preferred = {population.genomes[0].genome_id}
+        ids[0] = population.genomes[0].genome_id

@@ -54,6 +54,9 @@ class Callback:
     def idle(self, session: Session) -> None:
         """The run is paused, or has just been: wait a moment, if you like. Called all the time."""
 
+    def changing(self, session: Session, change: AnyChange) -> None:
+        """A change is about to be made."""
+
     def changed(self, session: Session, change: AnyChange) -> None:
         """A change was made, which somebody asked for or which a record repeats."""
 

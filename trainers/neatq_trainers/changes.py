@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,7 +17,7 @@ import msgspec
 import numpy as np
 
 from neatq_envs.checks import ScenarioError
-from neatq_envs.nero.scenario import REWARD_NAMES, NeroScenario, find_nero
+from neatq_envs.nero.scenario import REWARD_NAMES, NeroScenario, Stage, find_nero
 from neatq_envs.scenario import Scenario, find_scenario
 from neatq_envs.torchrl_env import FieldEnv
 from neatq_torch.checkpoint import CheckpointError
@@ -71,13 +72,17 @@ class ChangeScenario(Change, frozen=True, tag="scenario"):
             outside = (max(-at, at - end, 0.0) for at, end in ends)
             if math.hypot(*outside) > math.hypot(wall.width, wall.height) / 2:
                 raise ConfigError(f"walls[{index}]: it lies outside of the field; move it in")
-        if run.config.generational and not self.scenario.get("lifetime_ticks", 1):
+        if run.config.generational and not wanted.lifetime_ticks:
             raise ConfigError("lifetime_ticks: expected above 0; generations need lives that end")
+        if isinstance(wanted, NeroScenario):
+            replace(run.config.world, stages=(Stage(scenario=wanted),))  # which robots must fit
 
     def make(self, run: Run) -> None:
         """See `Change`."""
         field = field_of(run)
         field.change(self._read(field.arena.scenario))
+        for population in run.populations:
+            population.weigh(run.world.present_weights)
         run.disturbed = True
 
     def _read(self, present: Scenario | NeroScenario) -> Any:
@@ -99,12 +104,7 @@ class ChangeWeights(Change, frozen=True, tag="weights"):
 
     def make(self, run: Run) -> None:
         """See `Change`."""
-        field, weights = field_of(run), self._all(run)
-        if isinstance(field.arena.scenario, NeroScenario):  # until the next stage of a curriculum
-            field.arena.weights = np.array([weights.get(name, 0.0) for name in REWARD_NAMES])
-        else:
-            field.change(field.arena.scenario.replaced(reward_weights=weights))
-            run.disturbed = True
+        ChangeScenario({"reward_weights": self._all(run)}).make(run)
 
     def _all(self, run: Run) -> dict[str, float]:
         return present_weights(run) | self.weights
@@ -159,6 +159,9 @@ class BreedRobots(Change, frozen=True, tag="breed"):
         _check_slots(run, *self.parents)
         if self.parents[0] == self.parents[1]:
             raise ConfigError(f"breed: expected two robots, got {self.parents[0]} twice")
+        population = evolving(run)
+        if population.slots_of(population.protected).all():
+            raise ConfigError("breed: all robots are protected; let one of them go")
 
     def make(self, run: Run) -> None:
         """See `Change`."""
@@ -201,10 +204,12 @@ class LoadTeam(Change, frozen=True, tag="team"):
             genomes = [Genome.from_dict(one) for one in self.genomes]
         except (GenomeError, KeyError, TypeError) as error:
             raise ConfigError(f"team: {error}") from error
-        last = population.ledger.next_innovation
+        first, ledger = population.genomes[0], population.ledger
         for genome in genomes:
-            strange = genome.interface != population.genomes[0].interface
-            if strange or genome.link_innovation.max(initial=0) >= last:
+            strange = genome.interface != first.interface
+            strange |= genome.observation_schema != first.observation_schema
+            strange |= bool(genome.node_id.max() >= ledger.next_node_id)
+            if strange or genome.link_innovation.max(initial=0) >= ledger.next_innovation:
                 raise ConfigError("team: not of this run; only teams that it saved can be loaded")
 
     def make(self, run: Run) -> None:
@@ -286,7 +291,7 @@ def _first_arena(run: Run) -> list[bool]:
 
 def _begin_again(run: Run, replacements: list[Replacement]) -> None:
     """Let newborns of the first arena begin their lives."""
-    newborn = introduce(run, [replacements, *([] for _ in run.populations[1:])])
+    newborn = introduce(run, [replacements])
     field_of(run).begin_lives(newborn.numpy())
     run.disturbed = True
 
@@ -309,10 +314,9 @@ class Record:
     def __init__(self, path: Path, made: int = 0) -> None:
         self._path, self.made = path, made
         content = path.read_bytes() if path.exists() else b""
-        whole = content[: content.rfind(b"\n") + 1]
-        if whole != content:  # killed while a line was written, whose change was never made
-            os.truncate(path, len(whole))
-        self.entries = _recorded(whole, path)
+        # The change of a line that was cut off was never made, or is being written now.
+        self._length = content.rfind(b"\n") + 1
+        self.entries = _recorded(content[: self._length], path)
         self._repeated = -1
         if len(self.entries) < made:
             raise CheckpointError(
@@ -347,11 +351,12 @@ class Record:
         self._append(Recorded(tick, change))
 
     def _append(self, entry: Recorded) -> None:
-        self.entries.append(entry)
         with self._path.open("ab") as file:
-            file.write(msgspec.json.encode(entry) + b"\n")
+            file.truncate(self._length)
+            self._length += file.write(msgspec.json.encode(entry) + b"\n")
             file.flush()
             os.fsync(file.fileno())
+        self.entries.append(entry)
 
     def settings(self) -> list[AnyChange]:
         """The changes made so far that no state of a run holds."""

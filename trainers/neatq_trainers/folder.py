@@ -88,8 +88,9 @@ class RunFolder:
             OSError: If it cannot be written.
         """
         check_new(path)
-        folder = RunFolder(path, config)
         path.mkdir(parents=True, exist_ok=True)
+        (path / CHANGES).unlink(missing_ok=True)
+        folder = RunFolder(path, config)
         folder.remove_leftovers()
         folder._write_config()
         write_atomic(path / METRICS, folder._header)
@@ -124,7 +125,8 @@ class RunFolder:
                     f"{unit}: the run in {self.path} has {state['done'][unit]} already, got "
                     f"{value}; give more, or begin a new run with another --out"
                 )
-        self.record = Record(self.path / CHANGES, state.get("changes", 0))
+        made = state.get("changes", 0) if state["done"]["ticks"] else 0  # else it begins anew
+        self.record = Record(self.path / CHANGES, made)
         self._cut_metrics(state["metrics_bytes"], state["metrics_crc"])
         self._cut_logs(state.get("logs"))
         if config != self.config:
@@ -348,7 +350,14 @@ def check_new(path: Path) -> None:
 
 def _unbegun(path: Path) -> bool:
     """Whether a folder holds nothing but what a run writes before its first checkpoint."""
-    early = {CONFIG, METRICS, LOCK, HOLDER, *(one.name for one in leftovers(path, _WRITTEN))}
+    early = {
+        CONFIG,
+        METRICS,
+        CHANGES,
+        LOCK,
+        HOLDER,
+        *(one.name for one in leftovers(path, _WRITTEN)),
+    }
     if {one.name for one in path.iterdir()} - early:
         return False
     metrics = path / METRICS

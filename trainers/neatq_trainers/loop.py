@@ -59,6 +59,7 @@ def strides(run: Run, callbacks: Sequence[Callback] = ()) -> Generator[Stride]:
     """
     rows: list[Row] = []
     poses: list[np.ndarray] = []
+    _settled(run)
     collector = make_collector(run)
     try:
         for batch in collector:  # 2 act, 3 the world moves: [arenas, slots, ticks]
@@ -88,12 +89,19 @@ def strides(run: Run, callbacks: Sequence[Callback] = ()) -> Generator[Stride]:
                 track = np.concatenate(poses, 1) if poses else None
                 yield Stride(rows, track, run.tick, run.metrics.steps(run), run.generation)
                 rows, poses = [], []
-                if run.disturbed:
+                if _settled(run):
                     assert isinstance(collector, _RowsCollector)
                     collector.look_again()
-                    run.disturbed = False
     finally:
         collector.shutdown(close_env=False)
+
+
+def _settled(run: Run) -> bool:
+    """Whether somebody has changed the world, which is built then as a resumed run builds it."""
+    changed, run.disturbed = run.disturbed, False
+    if changed:
+        run.world.env.rebuild()
+    return changed
 
 
 def make_collector(run: Run) -> Collector:
@@ -185,7 +193,7 @@ def learnt(run: Run, arenas: Sequence[bool]) -> None:
 
 
 def introduce(run: Run, replacements: list[list[Replacement]]) -> Tensor:
-    """Let networks, learner and policy begin anew where each arena's population has replaced."""
+    """Let networks, learner and policy begin anew where populations, the first ones, replaced."""
     assert run.network is not None
     newborn = torch.zeros(run.shape, dtype=torch.bool)
     run.replacements = replacements

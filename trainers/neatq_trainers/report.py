@@ -22,6 +22,7 @@ from neatq_envs.gymnasium_rows import begin, close
 from neatq_envs.gymnasium_task import GymnasiumTask, TaskError
 from neatq_envs.observations import input_name, raised_by_environment
 from neatq_envs.render import ShownFigure, animation, draw_paths, frame, plain_title
+from neatq_envs.torchrl_env import ArenaEnv
 from neatq_torch.atomic import write_atomic
 from neatq_torch.genome import Genome
 from neatq_trainers.build import build
@@ -278,9 +279,7 @@ def play(run: Run, ticks: int) -> tuple[np.ndarray, np.ndarray]:
     The networks of the run act; their recurrent state is used up. Returns poses [ticks, slots, 3]
     (x, y, heading in rad) and flags [ticks, 2] of arena 0.
     """
-    world = run.config.world
-    assert isinstance(world, ArenaConfig)
-    env = ArenaWorld(world, run.config.seeds).env
+    env = ArenaEnv(run.world.env.scenario, arenas=run.shape[0], seed=run.config.seed)
     poses, flags = [], []
     run.policy.reset(torch.ones(run.shape, dtype=torch.bool))
     with set_exploration_type(ExplorationType.DETERMINISTIC):

@@ -59,6 +59,7 @@ class Session:
         stop: Set it to end the training in order; `resume` goes on.
         wants_checkpoint: Set it to have a checkpoint written soon.
         paused: Set it to let the run stand; `idle` of the callbacks is called until it goes on.
+        signals: Numbers of signals that are to end the training, as they come.
         wanted: Changes that somebody asks for; each is made, or refused, when the run can stop.
     """
 
@@ -70,6 +71,7 @@ class Session:
     stop: bool = False
     wants_checkpoint: bool = False
     paused: bool = False
+    signals: Sequence[int] = ()
     wanted: deque[AnyChange] = field(default_factory=deque)
 
     @property
@@ -283,11 +285,13 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
     for callback in callbacks:
         callback.start(session)
     with noting_signals() as signals:
+        session.signals = signals
         while True:
             saving = session.stop or signals or (session.wants_checkpoint and unsaved)
             pausing = saving or session.paused or session.wanted
-            ahead_done = session.done + under_way * stride
-            wanted = not session.over and ahead_done < min(total, session.folder.record.next_tick())
+            soon = under_way * stride
+            due = session.lengths["ticks"] + soon >= session.folder.record.next_tick()
+            wanted = not session.over and not due and session.done + soon < total
             if wanted and not pausing and under_way < ahead:
                 for worker in workers:
                     worker.begin()
@@ -320,6 +324,7 @@ def _change(session: Session, workers: Sequence[Worker], callbacks: Sequence[Cal
     record = session.folder.record
     if record.next_tick() <= session.lengths["ticks"]:
         change = record.entries[record.made].change
+        workers[0].check(change)  # it may be the record of a run of another kind
     elif session.wanted:
         change = session.wanted.popleft()
         try:
@@ -331,6 +336,8 @@ def _change(session: Session, workers: Sequence[Worker], callbacks: Sequence[Cal
             return True
     else:
         return False
+    for callback in callbacks:
+        callback.changing(session, change)
     for worker in workers if change.everywhere else workers[:1]:
         worker.make(change)
     record.made += 1

@@ -254,7 +254,7 @@ class TrainingField:
         old = self.age_ticks >= lifetime if lifetime else np.zeros(self.shape, bool)
         self.truncated = old & ~dead
 
-    def _look(self) -> None:
+    def _look(self, *, push: bool = True) -> None:
         size = OBSERVATIONS[self.scenario.sensors]
         self.observation = np.zeros((*self.shape, size), np.float32)
         self.measures = np.zeros((*self.shape, len(MEASURES)))
@@ -264,7 +264,8 @@ class TrainingField:
                 _robots_of(one, arenas) for one in (self.observation, self.measures, self.pose)
             )
             pose[:] = field.pose[: len(pose)]
-            kernels.correct(field, self._ground)
+            if push:  # robots out of walls
+                kernels.correct(field, self._ground)
             kernels.find_centres(field)
             kernels.look(field, self._ground, self._law, len(seen), seen)
             _measure(field, len(measured), measured)
@@ -367,7 +368,7 @@ class TrainingField:
             _load(field, _OF_FIELDS, saved[0])
             _load(brains, _OF_BRAINS, saved[1])
         self._end(np.zeros(self.shape, bool))
-        self._look()
+        self._look(push=False)
         _load(self, ("observation", "age_ticks"), state)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shutil
 import sys
+import tempfile
 import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -107,9 +108,17 @@ def opened(
         print(f"neatq: watch at {server.url}", flush=True)
         if options.host not in ("127.0.0.1", "localhost", "::1"):
             print("neatq: whoever reaches this machine and has that address can change the run")
-        if not options.no_browser and not webbrowser.open(server.url):
-            print("neatq: no browser was found here; open that address in one", file=sys.stderr)
-        yield 1, [Window(hub, options.speed or None)]
+        with tempfile.TemporaryDirectory() as folder:
+            if not options.no_browser and not webbrowser.open(_door(server.url, Path(folder))):
+                print("neatq: no browser was found here; open that address in one", file=sys.stderr)
+            yield 1, [Window(hub, options.speed or None)]
+
+
+def _door(address: str, folder: Path) -> str:
+    """A file that leads to an address: a command line shows its token to all users of a machine."""
+    door = folder / "neatq.html"
+    door.write_text(f'<meta http-equiv="refresh" content="0; url={address}">', encoding="utf-8")
+    return door.as_uri()
 
 
 def _with_life_left(arguments: list[str]) -> list[str]:

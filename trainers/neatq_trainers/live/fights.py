@@ -32,6 +32,8 @@ def fight(run: Run, against: str) -> dict[str, Any]:
     """
     if not isinstance(run.config.world, NeroConfig):
         raise ConfigError(f"battle: it is for --task {NERO}")
+    if run.config.network.double_activation:
+        raise ConfigError("battle: networks that are activated twice a tick know no battle")
     if against not in opponents():
         raise ConfigError("battle: expected a team file or a run of the working directory")
     own, other = present_team(run, 0, "this team"), find_team(against)

@@ -20,6 +20,8 @@ PAGE = Path(__file__).parent / "page"
 CHANNELS = ("fitness", "age_ticks", "species", "value", "td_error", "hit_points", "team", "alive")
 """What is known of each robot in a clip, beside its pose."""
 _MAGIC = b"NQC1"
+_MOST_COUNTED = 65_535
+"""Of robots, frames and shots, each a number of two bytes."""
 _HEADER = struct.Struct("<4sIHHHHfHH")
 
 
@@ -122,6 +124,7 @@ class Clip(NamedTuple):
     def pack(self) -> bytes:
         """As bytes, little-endian: the header, then the four arrays."""
         frames, robots, _ = self.poses.shape
+        shots = self.shots[:_MOST_COUNTED]
         head = _HEADER.pack(
             _MAGIC,
             self.tick,
@@ -130,8 +133,8 @@ class Clip(NamedTuple):
             3 + len(CHANNELS),
             self.ticks_per_frame,
             self.seconds,
-            len(self.shots),
+            len(shots),
             self.flags.shape[1],
         )
-        arrays = self.poses, self.robots, self.flags, self.shots
+        arrays = self.poses, self.robots, self.flags, shots
         return head + b"".join(one.astype("<f4").tobytes() for one in arrays)

@@ -110,7 +110,7 @@ def page_with(recording: dict[str, Any]) -> str:
     assert found is not None
     modules = (_bare((PAGE / name).read_text(encoding="utf-8")) for name in found[1].split())
     style = (PAGE / "style.css").read_text(encoding="utf-8")
-    data = json.dumps(recording, allow_nan=False).replace("</", "<\\/")
+    data = json.dumps(recording, allow_nan=False).replace("<", "\\u003c")
     parts = {
         '<link rel="stylesheet" href="page/style.css">': f"<style>\n{style}</style>",
         '<script type="module" src="page/main.js"></script>': (

@@ -152,7 +152,7 @@ class Scene:
         self, poses: np.ndarray, robots: np.ndarray, frames: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Poses and channels with all others on NERO's field, and who shot at whom."""
-        field, past = self.field.fields[0], self._past
+        field, past = self.field.fields[0], self._past[-(int(frames[-1]) + 1) :]
         own, everybody = self.run.shape[1], len(field.team)
         if [len(pose) for pose, _ in past] != [everybody] * (frames[-1] + 1):  # a first look
             past = [(field.pose, np.full(everybody, -1))] * (frames[-1] + 1)

@@ -47,7 +47,7 @@ _LATEST = ("state", "robots", "robot", "saved")
 """Types of which a page needs the latest message alone."""
 _HEADERS = {
     "Content-Security-Policy": (
-        "default-src 'self'; connect-src 'self' ws: wss:; img-src 'self' data: blob:; "
+        "default-src 'self'; connect-src 'self'; img-src 'self' data: blob:; "
         "media-src blob:; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
     ),
     "Referrer-Policy": "no-referrer",
@@ -147,6 +147,15 @@ class Hub:
         with self._lock:
             client.greeted |= message["type"] == "hello"
             client.put(message)
+
+    def take(self, client: Client) -> dict[str, Any] | bytes | None:
+        """The next thing for a page; None: there is none, or it is too far behind."""
+        with self._lock:
+            if client.lost:
+                return None
+            if client.messages:
+                return client.messages.popleft()
+            return client.clips.popleft() if client.clips else None
 
     def asked(self) -> list[Asked]:
         """Take what pages have asked for."""
@@ -296,13 +305,12 @@ class Server:
         while not client.lost:
             await news.wait()
             news.clear()
-            while client.messages or client.clips:
-                if client.messages:
-                    text = json.dumps(client.messages.popleft(), allow_nan=False)
-                    await asyncio.wait_for(websocket.send_text(text), SEND_SECONDS)
-                elif client.clips:
-                    clip = client.clips.popleft()
-                    await asyncio.wait_for(websocket.send_bytes(clip), SEND_SECONDS)
+            while (one := self._hub.take(client)) is not None:
+                if isinstance(one, bytes):
+                    sent = websocket.send_bytes(one)
+                else:
+                    sent = websocket.send_text(json.dumps(one, allow_nan=False))
+                await asyncio.wait_for(sent, SEND_SECONDS)
 
 
 class _Static(StaticFiles):

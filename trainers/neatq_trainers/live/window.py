@@ -22,6 +22,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from neatq_envs.checks import from_json
+from neatq_envs.episodes import EpisodeError
 from neatq_envs.gymnasium_task import TaskError
 from neatq_envs.scenario import REWARD_DIMENSIONS
 from neatq_torch.atomic import write_atomic
@@ -56,6 +57,7 @@ from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig
 TEAMS = "teams"
 """The folder of teams that were kept, in a run folder."""
 FIRST_SPEED = 60.0
+MOST_ROBOTS = 10_000
 MOST_ROWS = 2000
 """Of the history that a page gets when it opens."""
 _NAME = re.compile(r"[\w][\w .+-]{0,59}")
@@ -81,7 +83,8 @@ class Window(Callback):
         self.hub, self._speed = hub, ticks_per_second
         self._scene: Scene | None = None
         self._undo: list[AnyChange] = []
-        self._inverse: dict[int, AnyChange | None] = {}
+        self._reversible: list[AnyChange] = []
+        self._inverse: AnyChange | None = None
         self._stepping = False
         self._due = self._last_clip = self._last_table = self._last_robot = 0.0
         self._species: list[dict[str, Any]] = []
@@ -102,7 +105,15 @@ class Window(Callback):
 
     # ------------------------------------------------------------------------ while it trains
     def start(self, session: Session) -> None:
-        """Read what the run has said so far."""
+        """Read what the run has said so far.
+
+        Raises:
+            ConfigError: If it has more robots than a page can show.
+        """
+        if (robots := session.config.world.slots or 0) > MOST_ROBOTS:
+            raise ConfigError(
+                f"robots: expected at most {MOST_ROBOTS:,} in a window, got {robots:,}"
+            )
         self._session = session
         columns = session.folder.metrics()
         own = np.flatnonzero(columns["arena"] == 0)[-MOST_ROWS:]
@@ -124,7 +135,9 @@ class Window(Callback):
             self._last_clip = now
         if self._speed:
             self._due = max(self._due + ticks / self._speed, now)
-            self._asked.wait(max(0.0, self._due - time.monotonic()))
+            while not self._session.signals and (left := self._due - time.monotonic()) > 0:
+                if self._asked.wait(min(left, _IDLE_SECONDS)):
+                    break
 
     def _show(self, scene: Scene, seconds: float, ticks: int) -> None:
         now = time.monotonic()
@@ -175,11 +188,16 @@ class Window(Callback):
                 if 0 <= slot < self._scene.run.shape[1]:
                     self._tell_robot(self._scene, slot)
 
+    def changing(self, session: Session, change: AnyChange) -> None:
+        """Remember what takes back what a page has asked for."""
+        own = [one for one in self._reversible if one is change]
+        self._inverse = self._before(change) if own else None
+
     def changed(self, session: Session, change: AnyChange) -> None:
         """Tell how everything is now."""
-        inverse = self._inverse.pop(id(change), None)
-        if inverse is not None:
-            self._undo.append(inverse)
+        self._reversible = [one for one in self._reversible if one is not change]
+        if self._inverse is not None:
+            self._undo.append(self._inverse)
         if self._scene is not None:
             if isinstance(change, ch.ReplaceRobot | ch.BreedRobots | ch.LoadTeam):
                 self._scene.note_births()
@@ -188,7 +206,7 @@ class Window(Callback):
 
     def refused(self, session: Session, change: AnyChange, error: Exception) -> None:
         """Tell why not."""
-        self._inverse.pop(id(change), None)
+        self._reversible = [one for one in self._reversible if one is not change]
         self.hub.tell({"type": "refused", "message": str(error)})
         self._tell_state()
 
@@ -202,7 +220,9 @@ class Window(Callback):
         for asked in self.hub.asked():
             try:
                 self._take(asked)
-            except (*ch.REFUSALS, CheckpointError, TaskError, OSError) as error:
+            except (*ch.REFUSALS, CheckpointError, TaskError, EpisodeError, ValueError) as error:
+                asked.answer({"type": "refused", "message": str(error)})
+            except OSError as error:
                 asked.answer({"type": "refused", "message": str(error)})
 
     def _take(self, asked: Asked) -> None:
@@ -234,8 +254,10 @@ class Window(Callback):
                 self.hub.tell(fight(self._run(), against))
             case Watch():
                 asked.answer(champion_episode(session.folder))
+            case Changing(change=ch.LoadTeam()):
+                raise ConfigError("team: only teams that were kept can be loaded; say the name")
             case Changing(change=change):
-                self._inverse[id(change)] = self._before(change)
+                self._reversible.append(change)
                 session.wanted.append(change)
         if isinstance(ask, Pause | Go | StepOnce | Speed | Undo):
             self._tell_state()
@@ -271,10 +293,11 @@ class Window(Callback):
     def _team(self, name: str) -> ch.LoadTeam:
         try:
             text = self._team_path(name).read_text(encoding="utf-8")
-            return ch.LoadTeam(from_json(text)["genomes"])
+            team = {"kind": "team", "genomes": from_json(text)["genomes"]}
+            return msgspec.convert(team, ch.LoadTeam)
         except FileNotFoundError as error:
             raise ConfigError(f"team: expected one of {', '.join(self._saved())}") from error
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, msgspec.ValidationError) as error:
             raise ConfigError(f"team {name}: the file is damaged: {error}") from error
 
     def _team_path(self, name: str) -> Path:
