@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,7 +123,8 @@ def test_a_team_may_be_the_enemy_of_learners_that_sense_the_same(tmp_path: Path)
     learnt = {"enemy": str(first.folder)}  # as it is: another bias than that of a file
     run = nq.train("nero", "rtneat", env_kwargs=field | learnt, ticks=100, out=tmp_path / "again")
     assert np.isfinite(run.metrics()["enemy_distance"]).all()
-    assert nq.load_run(run.folder).config.world.enemy == str(first.folder)
+    world: Any = nq.load_run(run.folder).config.world
+    assert world.enemy == str(first.folder)
     with pytest.raises(ConfigError, match="opennero-2011"):
         nq.train("nero", "rtneat", env_kwargs=SMALL | enemy, ticks=100, out=tmp_path / "no")
     assert not (tmp_path / "no").exists()
