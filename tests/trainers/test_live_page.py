@@ -19,6 +19,7 @@ import pytest
 from PIL import Image
 
 from neatq_trainers.folder import load_run
+from neatq_trainers.train import train
 
 pytest.importorskip("starlette", reason="the extra live is not installed")
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -299,6 +300,30 @@ def test_a_gymnasium_run_shows_its_curves_and_an_episode_of_its_champion(
     assert not reader.page.locator("#field").is_visible()
     reader.page.click("#watch")
     reader.wait_for("document.querySelector('#film').naturalWidth > 50")
+    reader.close()
+    run.stop(signal.SIGKILL)
+
+
+def test_a_team_fights_another_and_turrets_come_and_go(browser: Any, tmp_path: Path) -> None:
+    few = {"robots": 10, "lifetime_ticks": 200}
+    train("nero", "rtneat", env_kwargs=few, ticks=200, out=tmp_path / "runs" / "others")
+    robots = ["--env-kwargs", *(f"{name}={value}" for name, value in few.items())]
+    run = Played(tmp_path, "--task", "nero", "--arm", "rtneat", *robots, "--speed", "600")
+    reader = Reader(browser, run.url)
+    reader.wait_for("window.neatq?.state && neatq.stats.clips_received > 3")
+    reader.slide("#weight-avoid_fire", 0.5)
+    reader.wait_for("Math.abs(neatq.state.weights.avoid_fire - 0.5) < 0.02")
+    reader.page.click("#edit")
+    reader.page.click("#add-turret")
+    reader.wait_for("neatq.state.scenario.turrets.length === 2")
+    reader.page.click("#undo")
+    reader.wait_for("neatq.state.scenario.turrets.length === 1")
+    reader.page.select_option("#opponent", "runs/others")
+    reader.page.click("#battle")
+    reader.page.wait_for_selector("#timeline-back", state="visible")
+    assert "this team against others" in reader.page.locator("#timeline-what").inner_text()
+    reader.page.click("#timeline-back")
+    reader.page.wait_for_selector("#timeline-back", state="hidden")
     reader.close()
     run.stop(signal.SIGKILL)
 
