@@ -194,7 +194,7 @@ def test_observations_that_differ_less_than_single_precision_can_tell_are_told()
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        (["{run}"], "expected at least one of --onnx, --c, --python and --dot FILE"),
+        (["{run}"], "expected at least one of --onnx, --c, --python, --dot and --html FILE"),
         (["{tmp}", "--c", "{tmp}/a.h"], "no run"),
         (["{tmp}/nothing.json", "--c", "{tmp}/a.h"], "no run"),
         (["{run}/config.json", "--c", "{tmp}/a.h"], "expected a neatq-genome of version 1"),

@@ -191,7 +191,8 @@ def resume_command(arguments: list[str], window: argparse.Namespace | None = Non
     end: Any = {name: getattr(command, name) for name in (*LENGTHS, "until")}
     again = "resume" if window is None else "play"
     with _saying_how_to_go_on(command.folder, Path.cwd(), again):
-        load_run(command.folder)
+        if window is not None:
+            load_run(command.folder)  # before a page opens
         with opened(window, command.workers) as (workers, callbacks):
             run = trainer.resume(command.folder, **end, workers=workers, callbacks=callbacks)
         _say(run, command.folder)
