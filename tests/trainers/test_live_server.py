@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import socket
 import time
@@ -13,11 +14,13 @@ import numpy as np
 import pytest
 
 from neatq_torch.kinds import ConfigError
+from neatq_trainers.changes import ChangeExploration
 from neatq_trainers.cli import main
 from neatq_trainers.folder import load_run
 from neatq_trainers.live import command
 from neatq_trainers.live.messages import CHANNELS, Choose, Clip, Pause, read_ask
-from neatq_trainers.train import Session, train
+from neatq_trainers.live.recording import record_life
+from neatq_trainers.train import Session, resume, train
 
 pytest.importorskip("starlette", reason="the extra live is not installed")
 import httpx
@@ -359,3 +362,34 @@ def test_a_run_of_several_processes_is_refused_in_a_sentence(
     train("flag", "rtneat", env_kwargs=SMALL, ticks=80, arenas=2, workers=2, out="runs/two")
     assert main(["play", "runs/two", "--ticks", "400", "--no-browser"]) == 2
     assert "begin a run with --workers 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("task", ["wall", "nero"])
+def test_a_page_in_one_file_shows_what_a_resumed_run_does(task: str, tmp_path: Path) -> None:
+    class Explorer(Window):
+        def rows(self, session: Session, rows: Any) -> None:
+            if session.lengths["ticks"] == 80 and task == "wall":
+                session.wanted.append(ChangeExploration(0.9))
+
+    arm, more = ("replay", {}) if task == "wall" else ("rtneat", {"hit_points": 10_000})
+    how: dict[str, Any] = {"env_kwargs": {**SMALL, "lifetime_ticks": 1000, **more}, "ticks": 240}
+    run = train(task, arm, **how, out=tmp_path / "run", callbacks=[Explorer(Hub())])
+    clips = clip_bytes(record_life(run, 80)["base64"])
+    track = resume(run.path, ticks=400).read()["track"].swapaxes(0, 1)  # before each tick
+    for clip in clips:
+        tick, poses = int.from_bytes(clip[4:8], "little"), poses_of(clip)[:, :6]
+        np.testing.assert_array_equal(poses, track[tick : tick + 4 * len(poses) : 4])
+
+
+def clip_bytes(text: str) -> list[bytes]:
+    data, clips = base64.b64decode(text), []
+    while data:
+        length = int.from_bytes(data[:4], "little")
+        clips.append(data[4 : 4 + length])
+        data = data[4 + length :]
+    return clips
+
+
+def poses_of(clip: bytes) -> np.ndarray:
+    frames, robots = np.frombuffer(clip[8:12], "<u2").tolist()
+    return np.frombuffer(clip, "<f4", frames * robots * 3, 24).reshape(frames, robots, 3)

@@ -73,12 +73,18 @@ class Scene:
         """Look at a batch [arenas, slots, ticks] and its errors [arenas, slots]."""
         self._batch, self._error = batch, error[0].numpy()
         if isinstance(self.run.config.world, NeroConfig):
-            self._past, self.field.trail = self.field.trail or [], []
+            self._past = self.field.trail or []
+        self.look()
 
     @property
     def seen(self) -> bool:
         """Whether there was a batch to look at."""
         return self._batch is not None
+
+    def look(self) -> None:
+        """Keep what happens in each tick from now on, where a batch does not hold it."""
+        if isinstance(self.run.config.world, NeroConfig):
+            self.field.trail = []
 
     def look_away(self) -> None:
         """Keep nothing of what happens until the next look."""

@@ -62,6 +62,7 @@ MOST_ROWS = 2000
 """Of the history that a page gets when it opens."""
 _NAME = re.compile(r"[\w][\w .+-]{0,59}")
 _IDLE_SECONDS = 0.1
+_REFUSALS = (*ch.REFUSALS, CheckpointError, TaskError, EpisodeError, ValueError, OSError)
 _REVERSIBLE = (
     ch.ChangeScenario,
     ch.ChangeWeights,
@@ -220,9 +221,7 @@ class Window(Callback):
         for asked in self.hub.asked():
             try:
                 self._take(asked)
-            except (*ch.REFUSALS, CheckpointError, TaskError, EpisodeError, ValueError) as error:
-                asked.answer({"type": "refused", "message": str(error)})
-            except OSError as error:
+            except _REFUSALS as error:
                 asked.answer({"type": "refused", "message": str(error)})
 
     def _take(self, asked: Asked) -> None:
