@@ -359,7 +359,7 @@ class Record:
         self.entries.append(entry)
 
     def settings(self) -> list[AnyChange]:
-        """The changes made so far that no state of a run holds."""
+        """The changes made so far of which a run's state does not hold all: what its rows tell."""
         made = (one.change for one in self.entries[: self.made])
         return [one for one in made if isinstance(one, ChangeExploration)]
 

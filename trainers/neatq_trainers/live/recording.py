@@ -16,7 +16,6 @@ from neatq_envs.random_play import EnvFacts
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.build import build
 from neatq_trainers.callbacks import Callback
-from neatq_trainers.changes import CHANGES, Record
 from neatq_trainers.folder import RunFolder
 from neatq_trainers.live.messages import CHANNELS, PAGE, Clip
 from neatq_trainers.live.scene import Scene
@@ -76,8 +75,6 @@ def record_life(folder: RunFolder, ticks: int) -> dict[str, Any]:
                 f"html: {config.task} has no field; a champion's episode is in champion.gif"
             )
         scene.look()
-        for change in Record(folder.path / CHANGES, state.get("changes", 0)).settings():
-            change.make(run)
         recorder, first = _Recorder(scene), run.tick
         for stride in strides(run, [recorder]):
             if stride.tick >= first + ticks:
