@@ -175,7 +175,7 @@ def test_every_option_of_a_command_is_on_its_page(
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_block_has_a_language(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    known = {"python", "sh", "text", "json", "c", "ini", SCRIPT}
+    known = {"python", "sh", "text", "json", "c", "ini", "yaml", "docker", SCRIPT}
     assert {one[2] for one in FENCE.finditer(text)} <= known
 
 

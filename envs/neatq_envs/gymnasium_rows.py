@@ -15,8 +15,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from neatq_envs.gymnasium_task import GymnasiumTask, Interface, TaskError
+from neatq_envs.machines import Crew
 from neatq_envs.observations import Misfit, raised_by_environment
-from neatq_envs.processes import Remote
 
 
 class RowError(Exception):
@@ -116,15 +116,14 @@ class SingleRows:
 class DealtRows:
     """Rows dealt to processes, with a `SingleRows` in each; a step is one message to and fro.
 
-    Rows that stand together live together. Arguments are those of `SingleRows`, and the number of
-    processes.
+    Rows that stand together live together. Arguments are those of `SingleRows`, and the processes.
     """
 
     def __init__(
-        self, task: GymnasiumTask, interface: Interface, *, renewed: bool, workers: int
+        self, task: GymnasiumTask, interface: Interface, *, renewed: bool, crew: Crew
     ) -> None:
         self.interface = interface
-        self._remotes = [Remote(SingleRows, task, interface, renewed) for _ in range(workers)]
+        self._remotes = crew.open(SingleRows, task, interface, renewed)
 
     def reset(self, mask: Mask, seeds: NDArray[np.int64]) -> np.ndarray:
         """Begin an episode in the rows of a mask."""
@@ -240,20 +239,20 @@ def interface_of(task: GymnasiumTask) -> Interface:
 
 
 def make_rows(
-    task: GymnasiumTask, *, renewed: bool = False, workers: int = 1
+    task: GymnasiumTask, *, renewed: bool = False, crew: Crew | None = None
 ) -> tuple[EnvRows, Interface]:
     """The rows of a task and their interface, or a `TaskError`.
 
     Args:
         task: The environment.
         renewed: Make a new environment for every episode; see `SingleRows`.
-        workers: Processes that the rows are dealt to, 1: none but this one. A vectorised
-            environment stays in this one. The results are the same.
+        crew: To whom the rows are dealt; of one, or None: they stay in this process, as a
+            vectorised environment always does. The results are the same.
     """
     interface = interface_of(task)
     vector = None if renewed else VectorRows.of(task, interface)
-    if vector is None and workers > 1:
-        return DealtRows(task, interface, renewed=renewed, workers=workers), interface
+    if vector is None and crew is not None and crew.size > 1:
+        return DealtRows(task, interface, renewed=renewed, crew=crew), interface
     return vector or SingleRows(task, interface, renewed), interface
 
 

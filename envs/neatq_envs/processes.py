@@ -10,9 +10,9 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,10 @@ class ProcessEnded(RuntimeError):
     """A process ended that had work to do; the message says how."""
 
 
+class MachinesLeft(ProcessEnded):
+    """A process can no longer begin, as there are fewer machines than when it was asked for."""
+
+
 class Remote:
     """An object in a process of its own, which does one thing after the other.
 
@@ -42,7 +46,7 @@ class Remote:
     def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
         refuse_unguarded_script()
         context = multiprocessing.get_context("spawn")
-        self._pipe, far_end = context.Pipe()
+        self.pipe, far_end = context.Pipe()
         self._process = context.Process(target=_serve, args=(far_end,), daemon=True)
         with _signals_blocked():
             self._process.start()
@@ -56,7 +60,7 @@ class Remote:
     def answer(self) -> Any:
         """What the earliest call under way returns or raises; `ProcessEnded` with no process."""
         try:
-            answer = _receive(self._pipe)
+            answer = _receive(self.pipe)
         except (EOFError, ConnectionResetError) as error:
             self._process.join()
             raise ProcessEnded(
@@ -68,16 +72,22 @@ class Remote:
 
     def close(self) -> None:
         """End the process."""
-        self._pipe.close()
+        self.pipe.close()
         self._process.kill()  # it has nothing to tidy up, and an environment may ignore SIGTERM
         self._process.join()
 
     def _send(self, request: Any) -> None:
         try:
-            _send(self._pipe, request)
+            _send(self.pipe, request)
         except BrokenPipeError:
             self.answer()  # raises what the process ended with, if it still could say so
             raise
+
+
+def wait_for(remotes: Sequence[Remote], seconds: float) -> list[Remote]:
+    """Those that have an answer, or whose process is gone; none of them after a time."""
+    pipes = {remote.pipe: remote for remote in remotes}
+    return [pipes[one] for one in wait(list(pipes), seconds) if isinstance(one, Connection)]
 
 
 def usable_cores() -> int:

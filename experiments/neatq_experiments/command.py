@@ -9,7 +9,6 @@ from pathlib import Path
 
 import tyro
 
-from neatq_envs.processes import usable_cores
 from neatq_experiments import (
     arena,
     double_pole,
@@ -23,6 +22,7 @@ from neatq_experiments import (
 )
 from neatq_experiments.compare.command import CompareCommand, run_comparison
 from neatq_experiments.experiment import Experiment, run_again
+from neatq_experiments.seeds import Spread
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.commands import parse
 
@@ -54,6 +54,12 @@ class ReproduceCommand:
     """Which of the experiment's arms. Default: all."""
     jobs: int | None = None
     """Processes; the results do not depend on it. Default: one for each core."""
+    cluster: str | None = None
+    """Do it on a Ray cluster: auto (the one that this machine belongs to), ray://HOST:10001, or
+    local, which begins one. Machines may come and go."""
+    storage: str | None = None
+    """Where a cluster mirrors what is under way if its machines do not share the folder --out: a
+    URL such as s3://bucket/study, or a folder that they share."""
     out: Path = Path("runs/reproduce")
     """Where results are kept, in a folder for each experiment."""
 
@@ -102,9 +108,9 @@ def run_experiment(command: ReproduceCommand) -> None:
     experiment = _with_arms(find(command.name), command.arms)
     planned = experiment.quick_seeds if command.quick else experiment.seeds
     seeds = planned if command.seeds is None else command.seeds
-    jobs = usable_cores() if command.jobs is None else command.jobs
+    spread = Spread(jobs=command.jobs, cluster=command.cluster, storage=command.storage)
     out = command.out / experiment.name
-    print(run_again(experiment, out, seeds=seeds, quick=command.quick, jobs=jobs), end="")
+    print(run_again(experiment, out, seeds=seeds, quick=command.quick, spread=spread), end="")
 
 
 def find(name: str) -> Experiment:

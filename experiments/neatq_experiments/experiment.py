@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from neatq_experiments.seeds import Result, Results, Runs, read_results, run_missing
+from neatq_experiments.seeds import Result, Results, Runs, Spread, read_results, run_missing
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.report import save_figure
 
@@ -52,7 +52,7 @@ def mean_and_error(values: ArrayLike, digits: int = 1) -> str:
     return f"{middle} ± {values.std(ddof=1) / np.sqrt(values.size):,.{digits}f}"
 
 
-def run_again(experiment: Experiment, out: Path, *, seeds: int, quick: bool, jobs: int) -> str:
+def run_again(experiment: Experiment, out: Path, *, seeds: int, quick: bool, spread: Spread) -> str:
     """Run what is missing of an experiment, and write its table and figure.
 
     Args:
@@ -60,7 +60,7 @@ def run_again(experiment: Experiment, out: Path, *, seeds: int, quick: bool, job
         out: Folder of its results; those that are there are kept.
         seeds: Seeds 0, 1, ... of each arm.
         quick: Whether a small part of the work is enough; such results are kept apart.
-        jobs: Processes.
+        spread: Where the work is done.
 
     Returns:
         The table, Markdown.
@@ -69,7 +69,7 @@ def run_again(experiment: Experiment, out: Path, *, seeds: int, quick: bool, job
         RunFolderError: If a result in the folder cannot be read.
     """
     folder = out / ("quick" if quick else "full")
-    run_missing(experiment, folder, seeds=seeds, quick=quick, jobs=jobs)
+    run_missing(experiment, folder, seeds=seeds, quick=quick, spread=spread)
     results = read_results(experiment, folder, seeds)
     table = experiment.table(results)
     write_atomic(folder / TABLE, table)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +13,10 @@ from typing import Any, NamedTuple
 import torch
 from tqdm import tqdm
 
-from neatq_envs.processes import end_with_parent, refuse_unguarded_script
+from neatq_envs.machines import open_machines
+from neatq_envs.pool import Outcome, performed
+from neatq_envs.processes import ProcessEnded
+from neatq_experiments.storage import mirrored
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import CHECKPOINT, RunFolderError
@@ -68,6 +68,23 @@ class Runs:
     share: Callable[[SeedTask], float] | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """Where runs are made; their results do not depend on it.
+
+    Attributes:
+        jobs: Most processes at a time. None: one for each core that there is.
+        cluster: Address of a Ray cluster, see `open_machines`; None: this machine.
+        storage: Where runs that are under way are mirrored, for machines that have no folder in
+            common: a URL of fsspec (s3://bucket/study) or a folder. None: nowhere, as all machines
+            have the folder of the results.
+    """
+
+    jobs: int | None = None
+    cluster: str | None = None
+    storage: str | None = None
+
+
 def run_seeds(task: SeedTask, config: RunConfig) -> Path:
     """Run a configuration over the seeds of a task, side by side; go on if it was interrupted.
 
@@ -89,10 +106,12 @@ def seeds_folder(task: SeedTask) -> Path:
 
 
 def run_missing(
-    runs: Runs, folder: Path, *, seeds: int, quick: bool, jobs: int, begin: int = 0
+    runs: Runs, folder: Path, *, seeds: int, quick: bool, spread: Spread, begin: int = 0
 ) -> None:
     """Run so many seeds of all arms, from `begin` on, that have no result in the folder yet."""
-    _run(runs, tasks(runs, folder, seeds=seeds, quick=quick, begin=begin), jobs)
+    missing = tasks(runs, folder, seeds=seeds, quick=quick, begin=begin)
+    if missing:
+        _run(runs, missing, spread)
 
 
 def tasks(runs: Runs, folder: Path, *, seeds: int, quick: bool, begin: int = 0) -> list[SeedTask]:
@@ -134,24 +153,49 @@ def _read_result(path: Path) -> Result:
         ) from error
 
 
-def _run(runs: Runs, tasks: list[SeedTask], jobs: int) -> None:
+def _run(runs: Runs, tasks: list[SeedTask], spread: Spread) -> None:
     """Run all tasks; the first error is raised when all others are finished."""
     errors: list[BaseException] = []
-    with _progress(runs, tasks) as progress, _processes(jobs) as pool:
-        waiting = {pool.submit(_perform, runs.run, task): task for task in tasks}
-        finished = 0
-        while waiting:
-            over, _ = wait(waiting, LOOK_SECONDS, FIRST_COMPLETED)
-            for future in over:
-                task = waiting.pop(future)
-                finished += len(task.seeds)
-                if (error := future.exception()) is not None:
-                    error.add_note(f"in {runs.name}: {task}")
-                    errors.append(error)
-            progress.n = round(finished + begun(runs, waiting.values()), 1)
-            progress.refresh()
+    over, hosts = set[SeedTask](), Counter[str]()
+    begin = _Performer, runs.run, spread.storage
+    with _progress(runs, tasks) as bar, open_machines(spread.cluster) as machines:
+        if machines.dashboard:
+            print(f"neatq: {runs.name}: dashboard of Ray at {machines.dashboard}", file=sys.stderr)
+        jobs = spread.jobs or machines.cores()
+        most = len(tasks) if machines.elastic and not spread.jobs else jobs
+        for outcome in performed(machines, begin, tasks, jobs=most, seconds=LOOK_SECONDS):
+            if outcome is not None:
+                over.add(outcome.task)
+                hosts[outcome.host] += len(outcome.task.seeds)
+                if outcome.error is None:
+                    _keep(outcome.task, outcome.answer)
+                else:
+                    outcome.error.add_note(f"in {runs.name}: {outcome.task}")
+                    errors.append(outcome.error)
+                if outcome.tries > 1:
+                    bar.write(_lost_and_done(runs, outcome), file=sys.stderr)
+                _show_hosts(bar, hosts)
+            finished = sum(len(task.seeds) for task in over)
+            bar.n = round(finished + begun(runs, [one for one in tasks if one not in over]), 1)
+            bar.refresh()
     if errors:
         raise errors[0]
+
+
+def _lost_and_done(runs: Runs, outcome: Outcome) -> str:
+    """What is to be said of a task whose process or machine was lost."""
+    seeds = " ".join(map(str, outcome.task.seeds))
+    lost = outcome.tries - (not isinstance(outcome.error, ProcessEnded))
+    end = "given up" if outcome.error is not None else f"done on {outcome.host}"
+    return f"neatq: {runs.name}: {outcome.task.arm}, seeds {seeds}: lost {lost} times, {end}"
+
+
+def _show_hosts(bar: tqdm, hosts: Counter[str]) -> None:
+    """Say at which rate each machine finishes runs, where there are several."""
+    hours = max(bar.format_dict["elapsed"], 1.0) / 3600
+    if len(hosts) > 1:
+        rates = (f"{host} {count / hours:.0f}/h" for host, count in sorted(hosts.items()))
+        bar.set_postfix_str(", ".join(rates), refresh=False)
 
 
 def _progress(runs: Runs, tasks: list[SeedTask]) -> tqdm:
@@ -168,31 +212,23 @@ def begun(runs: Runs, tasks: Iterable[SeedTask]) -> float:
     return sum(runs.share(task) * len(task.seeds) for task in tasks)
 
 
-@contextmanager
-def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that do not outlive an error or Ctrl-C."""
-    refuse_unguarded_script()
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, context, _begin_process) as pool:
-        try:
-            yield pool
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
-                process.terminate()
-            raise
+class _Performer:
+    """Runs tasks in a process of its own."""
+
+    def __init__(self, run: Callable[[SeedTask], list[Result]], storage: str | None) -> None:
+        torch.set_num_threads(1)
+        self._run, self._storage = run, storage
+
+    def __call__(self, task: SeedTask) -> list[Result]:
+        """The results of its seeds; its folder is mirrored in the storage until they are there."""
+        with mirrored(task.folder, self._storage) as folder:
+            return self._run(task._replace(folder=folder))
 
 
-def _begin_process() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asks
-    torch.set_num_threads(1)
-    end_with_parent()  # a task takes minutes
-
-
-def _perform(run: Callable[[SeedTask], list[Result]], task: SeedTask) -> None:
-    """Run a task and keep its results."""
-    task.folder.mkdir(parents=True, exist_ok=True)
+def _keep(task: SeedTask, results: Sequence[Result]) -> None:
+    """Write the results of a task."""
     folder = task.folder.parent.parent
-    for seed, result in zip(task.seeds, run(task), strict=True):
+    result_path(folder, task.arm, 0).parent.mkdir(parents=True, exist_ok=True)
+    for seed, result in zip(task.seeds, results, strict=True):
         text = json.dumps({"seed": seed, **result}, indent=1) + "\n"
         write_atomic(result_path(folder, task.arm, seed), text)

@@ -22,6 +22,7 @@ from neatq_envs.episodes import (
 )
 from neatq_envs.gymnasium_rows import DealtRows, EnvRows, SingleRows, VectorRows, make_rows
 from neatq_envs.gymnasium_task import GymnasiumTask, Interface
+from neatq_envs.machines import Crew
 from neatq_envs.random_play import ObservationScaling
 from neatq_envs.torchrl_rows import GymnasiumRows
 
@@ -231,7 +232,7 @@ def dealt() -> Iterator[list[EnvRows]]:
 def test_workers_change_nothing(toy: str, dealt: list[EnvRows]) -> None:
     ways = []
     for workers in (1, 2, 3):
-        rows, interface = make_rows(GymnasiumTask(id=f"{toy}Walk-v0"), workers=workers)
+        rows, interface = make_rows(GymnasiumTask(id=f"{toy}Walk-v0"), crew=Crew(workers))
         dealt.append(rows)
         assert isinstance(rows, SingleRows if workers == 1 else DealtRows)
         env = made(rows, interface, None, seeds=(5, 6))
@@ -240,11 +241,13 @@ def test_workers_change_nothing(toy: str, dealt: list[EnvRows]) -> None:
         env.load_world_state(state)
         ways.append((way, go(env, env.reset(), range(30, 50))[1]))
     assert ways[0] == ways[1] == ways[2]
-    assert isinstance(make_rows(GymnasiumTask(id="neatq/DoublePole-v0"), workers=2)[0], VectorRows)
+    assert isinstance(
+        make_rows(GymnasiumTask(id="neatq/DoublePole-v0"), crew=Crew(2))[0], VectorRows
+    )
 
 
 def test_a_failure_in_a_process_names_the_row(toy: str, dealt: list[EnvRows]) -> None:
-    rows, interface = make_rows(GymnasiumTask(id=f"{toy}Broken-v0"), workers=2)
+    rows, interface = make_rows(GymnasiumTask(id=f"{toy}Broken-v0"), crew=Crew(2))
     dealt.append(rows)
     env = made(rows, interface, 1)
     env.begin(starts=[[2], [2], [2], [2], [9], [7]])

@@ -20,7 +20,7 @@ from neatq_experiments.experiment import (
     mean_and_error,
     run_again,
 )
-from neatq_experiments.seeds import Result, Results, SeedTask, begun, result_path, tasks
+from neatq_experiments.seeds import Result, Results, SeedTask, Spread, begun, result_path, tasks
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.folder import RunFolderError
 
@@ -47,6 +47,7 @@ def beat_long(task: SeedTask) -> list[Result]:
     return squares(task)
 
 
+ONE, TWO = Spread(jobs=1), Spread(jobs=2)
 SQUARES = Experiment(
     name="squares",
     summary="squares of seeds",
@@ -61,7 +62,7 @@ SQUARES = Experiment(
 
 
 def test_the_table_holds_every_seed_of_every_arm(tmp_path: Path) -> None:
-    table = run_again(SQUARES, tmp_path, seeds=4, quick=False, jobs=1)
+    table = run_again(SQUARES, tmp_path, seeds=4, quick=False, spread=ONE)
     assert table == "a 35\nb 35\n"  # (0 + 10 + 40 + 90) / 4
     assert (tmp_path / "full" / TABLE).read_text() == table
     assert (tmp_path / "full" / FIGURE).is_file()
@@ -69,7 +70,7 @@ def test_the_table_holds_every_seed_of_every_arm(tmp_path: Path) -> None:
 
 def test_processes_give_the_same_table_and_do_the_work_elsewhere(tmp_path: Path) -> None:
     spread = replace(SQUARES, figure=None)
-    assert run_again(spread, tmp_path, seeds=3, quick=False, jobs=2) == "a 16.6667\nb 16.6667\n"
+    assert run_again(spread, tmp_path, seeds=3, quick=False, spread=TWO) == "a 16.6667\nb 16.6667\n"
     assert f'"process": {os.getpid()}' not in result_path(tmp_path / "full", "a", 0).read_text()
 
 
@@ -77,7 +78,7 @@ def test_finished_seeds_are_not_run_again(tmp_path: Path) -> None:
     path = result_path(tmp_path / "full", "a", 1)
     path.parent.mkdir(parents=True)
     path.write_text('{"value": 1000}')
-    assert run_again(SQUARES, tmp_path, seeds=2, quick=False, jobs=1) == "a 500\nb 5\n"
+    assert run_again(SQUARES, tmp_path, seeds=2, quick=False, spread=ONE) == "a 500\nb 5\n"
 
 
 def test_seeds_are_dealt_in_batches_and_arms_take_turns(tmp_path: Path) -> None:
@@ -91,26 +92,26 @@ def test_seeds_are_dealt_in_batches_and_arms_take_turns(tmp_path: Path) -> None:
 
 
 def test_quick_results_are_kept_apart(tmp_path: Path) -> None:
-    assert run_again(SQUARES, tmp_path, seeds=2, quick=True, jobs=1) == "a 0.5\nb 0.5\n"
-    assert run_again(SQUARES, tmp_path, seeds=2, quick=False, jobs=1) == "a 5\nb 5\n"
+    assert run_again(SQUARES, tmp_path, seeds=2, quick=True, spread=ONE) == "a 0.5\nb 0.5\n"
+    assert run_again(SQUARES, tmp_path, seeds=2, quick=False, spread=ONE) == "a 5\nb 5\n"
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_after_an_error_the_others_are_finished_and_kept(tmp_path: Path, jobs: int) -> None:
     failing = replace(SQUARES, run=fail_at_seed_1, batch=1, arms=("a",))
     with pytest.raises(OverflowError, match="seed 1"):
-        run_again(failing, tmp_path, seeds=3, quick=False, jobs=jobs)
+        run_again(failing, tmp_path, seeds=3, quick=False, spread=Spread(jobs=jobs))
     kept = [result_path(tmp_path / "full", "a", seed).is_file() for seed in range(3)]
     assert kept == [True, False, True]
-    assert run_again(SQUARES, tmp_path, seeds=2, quick=False, jobs=1) == "a 5\nb 5\n"
+    assert run_again(SQUARES, tmp_path, seeds=2, quick=False, spread=ONE) == "a 5\nb 5\n"
 
 
 def test_a_damaged_result_is_named(tmp_path: Path) -> None:
-    run_again(SQUARES, tmp_path, seeds=1, quick=False, jobs=1)
+    run_again(SQUARES, tmp_path, seeds=1, quick=False, spread=ONE)
     path = result_path(tmp_path / "full", "b", 0)
     path.write_text("{")
     with pytest.raises(RunFolderError, match=r"seed-0\.json.*delete it"):
-        run_again(SQUARES, tmp_path, seeds=1, quick=False, jobs=1)
+        run_again(SQUARES, tmp_path, seeds=1, quick=False, spread=ONE)
 
 
 def test_the_bar_counts_what_is_done_of_tasks_that_have_no_result_yet(tmp_path: Path) -> None:
@@ -147,7 +148,7 @@ def test_processes_end_when_who_asked_is_killed(tmp_path: Path) -> None:
     asking = multiprocessing.get_context("spawn").Process(
         target=run_again,
         args=(replace(SQUARES, run=beat_long, figure=None), tmp_path),
-        kwargs={"seeds": 1, "quick": False, "jobs": 1},
+        kwargs={"seeds": 1, "quick": False, "spread": ONE},
     )
     asking.start()
     while not (hearts := list(tmp_path.rglob("heart"))):

@@ -18,6 +18,7 @@ from gymnasium.vector.utils import concatenate, create_empty_array
 
 from neatq_envs.episodes import TEST, episode_seeds
 from neatq_envs.gymnasium_task import TaskError
+from neatq_envs.machines import ThisMachine
 from neatq_trainers.arms import preset
 from neatq_trainers.cli import main
 from neatq_trainers.folder import FILM, RESULT, SCALING, load_run
@@ -137,12 +138,12 @@ def test_an_environment_that_ends_its_process_in_random_play_is_named(neatq: Say
 
 def test_random_play_apart_finds_the_same_and_says_the_same() -> None:
     plain = preset(f"{GYM}Plain-v0", "neat", env_kwargs={"observes": "dict"}).world
-    apart, here = facts_of(plain, 0.9, apart=True), facts_of(plain, 0.9)
+    apart, here = facts_of(plain, 0.9, apart=ThisMachine()), facts_of(plain, 0.9)
     assert apart is not None and here is not None
     assert apart.to_dict() == here.to_dict()
     image = preset(f"{GYM}Plain-v0", "neat", env_kwargs={"observes": "screen"}).world
     with pytest.raises(TaskError, match="not for these networks"):
-        facts_of(image, 0.9, apart=True)
+        facts_of(image, 0.9, apart=ThisMachine())
 
 
 def test_any_name_of_a_world_is_drawn(neatq: Say) -> None:

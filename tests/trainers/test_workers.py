@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 import torch
 
+from neatq_envs.machines import Crew, ThisMachine
 from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.callbacks import Callback
@@ -242,7 +243,7 @@ def test_a_worker_that_dies_leaves_a_checkpoint_and_says_what_to_do(
 def test_an_error_in_a_worker_is_raised_here_with_its_traceback(config: RunConfig) -> None:
     broken = {"tick": 40}
     with (
-        open_workers(config.split(2), [None, broken], None, [], 2) as workers,
+        open_workers(config.split(2), [None, broken], None, [], Crew(2)) as workers,
         pytest.raises(CheckpointError, match="populations") as caught,
     ):
         workers[1].snapshot()
@@ -255,14 +256,14 @@ def test_workers_fill_the_cores_with_at_least_four_arenas_each(
     cores: int, arenas: int, workers: int, config: RunConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
-    assert fitting_workers(replace(config, arenas=arenas)) == workers
+    assert fitting_workers(replace(config, arenas=arenas), ThisMachine()) == workers
 
 
 def test_gymnasium_environments_are_dealt_to_all_cores(
     tiny_walk: Tiny, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
-    assert fitting_workers(tiny_walk("neat")) == 8
+    assert fitting_workers(tiny_walk("neat"), ThisMachine()) == 8
 
 
 def test_a_run_without_workers_is_refused(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from neatq_envs.machines import Crew
 from neatq_envs.random_play import LARGEST, EnvFacts
 from neatq_torch.evolution import Population, RtNEAT, population_kinds
 from neatq_torch.kinds import ConfigError
@@ -41,7 +42,7 @@ def build(
     state: State | None = None,
     *,
     facts: EnvFacts | None = None,
-    workers: int = 1,
+    crew: Crew | None = None,
 ) -> Run:
     """Make a run.
 
@@ -50,7 +51,7 @@ def build(
         state: What `Run.state_dict` gave, to go on from there; None to begin. A run that had no
             tick yet begins, as its worlds are drawn then.
         facts: What `facts_of` has found of a Gymnasium task.
-        workers: Processes among which its environments are dealt.
+        crew: Among whom its environments are dealt; None: this process has them all.
     """
     if state is not None and not state["tick"]:
         state = None
@@ -60,7 +61,7 @@ def build(
         config.seeds,
         episodes=episodes,
         facts=facts,
-        workers=workers,
+        crew=crew,
         normalized=config.network.normalization is not None,
     )
     try:

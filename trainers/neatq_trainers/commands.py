@@ -19,6 +19,7 @@ import tyro
 
 from neatq_envs.episodes import EpisodeError
 from neatq_envs.gymnasium_task import TaskError, assignments
+from neatq_envs.machines import ClusterError
 from neatq_envs.processes import ProcessEnded
 from neatq_envs.scenario import ScenarioError
 from neatq_torch.checkpoint import CheckpointError
@@ -76,6 +77,8 @@ def _status(error: BaseException, advice: str = "") -> int:
             return _status(cause, advice)
         case ConfigError() | TaskError() | ScenarioError() | CheckpointError() | GenomeError():
             return _fail(str(error))
+        case ClusterError():
+            return _fail(str(error))
         case EpisodeError() | ProcessEnded():
             return _fail(f"{error}{advice}")
         case MemoryError():
@@ -124,6 +127,7 @@ def train_command(arguments: list[str], window: argparse.Namespace | None = None
     with _saying_how_to_go_on(folder, here, "resume" if window is None else "play"):
         with opened(window, options.workers) as (workers, callbacks):
             how: Any = {"changes": chosen.changes, "callbacks": callbacks}
+            how["cluster"] = options.cluster
             run = trainer.start(config, here / folder, workers=workers, **how)
         _say(run, folder)
 
@@ -183,6 +187,8 @@ class ResumeCommand:
     workers: int | None = None
     """Processes among which Gymnasium environments are dealt; default: those that fit this machine.
     Arenas stay with as many processes as the run was begun with."""
+    cluster: str | None = None
+    """A Ray cluster on which these live: auto, ray://HOST:10001, or local, which begins one."""
 
 
 def resume_command(arguments: list[str], window: argparse.Namespace | None = None) -> None:
@@ -194,7 +200,8 @@ def resume_command(arguments: list[str], window: argparse.Namespace | None = Non
         if window is not None:
             load_run(command.folder)  # before a page opens
         with opened(window, command.workers) as (workers, callbacks):
-            run = trainer.resume(command.folder, **end, workers=workers, callbacks=callbacks)
+            how: Any = {"workers": workers, "cluster": command.cluster}
+            run = trainer.resume(command.folder, **end, **how, callbacks=callbacks)
         _say(run, command.folder)
 
 

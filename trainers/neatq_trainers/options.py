@@ -43,6 +43,8 @@ _HELP = """Train a population and write a run folder.
 _MORE = """
     out: The run folder; new or empty. Default: runs/TASK-ARM-seedSEED.
     workers: Processes; the results do not depend on it. Default: those that fit this machine.
+    cluster: A Ray cluster on which these live: auto (that of this machine), ray://HOST:10001, or
+        local, which begins one. If one is lost with its machine, the run goes on without it.
     changes: The changes.jsonl of a run that somebody has steered, to be repeated in this one.
     live: Open the training window; see neatq play --help for its options."""
 _RARE = """interspecies_mate_prob multipoint_prob mutation.new_link_tries mutation.split_tries
@@ -81,6 +83,7 @@ def options_of(default: RunConfig, given: Sequence[str]) -> type:
             kind = _twin(own, part, hidden)
             columns.append((part, kind, field(default=kind())))
     columns += [("out", Path | None, None), ("workers", int | None, None)]
+    columns += [("cluster", str | None, None)]
     columns += [("changes", Path | None, None), ("live", bool, False)]
     kind = make_dataclass("TrainOptions", columns, frozen=True, kw_only=True)
     settings = cleandoc(RunConfig.__doc__ or "").partition("\n\n")[2]
@@ -97,7 +100,7 @@ def with_options(default: RunConfig, options: Any) -> RunConfig:
     values = {
         one.name: getattr(options, one.name)
         for one in fields(options)
-        if one.name not in ("out", "workers", "changes", "live")
+        if one.name not in ("out", "workers", "cluster", "changes", "live")
     }
     parts = {
         name: _made(getattr(default, name), values[name], name) for name in PARTS if name in values

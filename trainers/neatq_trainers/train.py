@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 import sys
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from neatq_envs.episodes import TEST, episode_seeds
-from neatq_envs.processes import unguarded_script
+from neatq_envs.machines import Crew, Machines, open_machines
+from neatq_envs.pool import TRIES
+from neatq_envs.processes import MachinesLeft, ProcessEnded, unguarded_script
 from neatq_envs.random_play import EnvFacts
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.arms import preset
-from neatq_trainers.build import heads_of
 from neatq_trainers.callbacks import (
     Callback,
     Checkpoints,
@@ -27,19 +26,19 @@ from neatq_trainers.callbacks import (
     Report,
     TorchRLLogger,
 )
-from neatq_trainers.changes import REFUSALS, AnyChange, read_record
+from neatq_trainers.changes import REFUSALS, AnyChange, Recorded, read_record
 from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.effects import refuse_without_effect
-from neatq_trainers.folder import RunFolder, check_new, load_run
+from neatq_trainers.final_test import judge_champions
+from neatq_trainers.folder import CHECKPOINT, RunFolder, check_new, load_run
 from neatq_trainers.lock import RunFolderError, locked
 from neatq_trainers.loop import Stride
 from neatq_trainers.names import file_name
 from neatq_trainers.rows import ReturnRow, Row
-from neatq_trainers.run import Champion
 from neatq_trainers.saved import best_score
 from neatq_trainers.signals import ending_by_signals, noting_signals, raise_for
 from neatq_trainers.workers import Worker, fitting_workers, open_workers
-from neatq_trainers.worlds import GymnasiumConfig, GymnasiumWorld, facts_of, make_world
+from neatq_trainers.worlds import facts_of
 
 STRIDES_AHEAD = 8
 """Strides that a worker may have under way, so that none waits for a slower one."""
@@ -101,6 +100,7 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
     seed: int = 0,
     out: Path | str | None = None,
     workers: int | None = None,
+    cluster: str | None = None,
     changes: Path | str | None = None,
     callbacks: Sequence[Callback] = (),
 ) -> RunFolder:
@@ -120,31 +120,30 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
         arenas: Populations side by side; arena i is the run with seed + i. Default: 1; rivals: 2.
         seed: Of arena 0.
         out: The run folder; new or empty. Default: runs/TASK-ARM-seedSEED.
-        workers: Processes; the results do not depend on it. Default: those that fit this machine.
+        workers: Processes; the results do not depend on it. Default: those that fit the machines.
+        cluster: A Ray cluster where these live, see `open_machines`; what is lost is made up for.
         changes: The `changes.jsonl` of a run that was steered, to be repeated in this one.
         callbacks: Called while it trains.
-
-    Returns:
-        The run.
 
     Raises:
         ConfigError: If the run cannot be made as asked, or the folder is in use.
         TaskError: If the environment cannot be used.
-        EpisodeError: If an environment fails; `resume` goes on, as after the next two.
-        ProcessEnded: If a worker dies.
-        KeyboardInterrupt, SystemExit: After Ctrl-C; after SIGTERM or SIGHUP.
+        EpisodeError: If an environment fails; `resume` goes on, as after the next.
+        ProcessEnded: If a worker dies; on a cluster again and again.
+        ClusterError: If there is none.
+        KeyboardInterrupt, SystemExit: After Ctrl-C; after SIGTERM.
 
     Example:
         >>> run = train("gym:CartPole-v1", arm="neat", generations=10)
     """
     length = {"ticks": ticks, "steps": steps, "generations": generations}
-    config = preset(
-        task, arm, env_kwargs=env_kwargs, population=population, learner=learner, length=length
-    )
+    kinds: Any = {"population": population, "learner": learner}
+    config = preset(task, arm, env_kwargs=env_kwargs, **kinds, length=length)
     arenas = config.arenas if arenas is None else arenas
     config = config.changed({"until": until, "arenas": arenas, "seed": seed, **(settings or {})})
     refuse_without_effect(config, settings or {})
-    return start(config, out, workers=workers, changes=changes, callbacks=callbacks)
+    how: Any = {"workers": workers, "cluster": cluster, "changes": changes, "callbacks": callbacks}
+    return start(config, out, **how)
 
 
 def start(
@@ -152,6 +151,7 @@ def start(
     out: Path | str | None = None,
     *,
     workers: int | None = 1,
+    cluster: str | None = None,
     changes: Path | str | None = None,
     callbacks: Sequence[Callback] = (),
 ) -> RunFolder:
@@ -159,14 +159,27 @@ def start(
     path = (default_folder(config) if out is None else Path(out)).absolute()
     check_new(path)
     repeated = [] if changes is None else read_record(Path(changes))
-    count = _checked(workers, config)
-    parts = config.split(min(count, config.groups))
+    with open_machines(cluster) as machines:
+        crew = _crew(workers, config, machines)
+        begin = partial(_begin, config, path, crew, repeated, callbacks)
+        go_on = partial(_go_on, path, {}, workers, machines, callbacks)
+        return _whatever_is_lost(begin, go_on, path, machines)
+
+
+def _begin(
+    config: RunConfig,
+    path: Path,
+    crew: Crew,
+    repeated: Sequence[Recorded],
+    callbacks: Sequence[Callback],
+) -> RunFolder:
+    parts = config.split(min(crew.size, config.groups))
     everybody = [kind() for kind in BUILT_IN] + list(callbacks)
     with ending_by_signals(), ExitStack() as stack:
         discount = getattr(config.learner, "discount", 0.99)
-        facts = facts_of(config.world, discount, apart=count > 1)
+        facts = facts_of(config.world, discount, apart=crew.machines if crew.size > 1 else None)
         states = [None] * len(parts)
-        team = stack.enter_context(open_workers(parts, states, facts, everybody, count))
+        team = stack.enter_context(open_workers(parts, states, facts, everybody, crew))
         begun = [worker.snapshot() for worker in team]  # what cannot be built leaves no folder
         path.mkdir(parents=True, exist_ok=True)
         stack.enter_context(locked(path))
@@ -184,6 +197,33 @@ def start(
     return session.folder
 
 
+def _whatever_is_lost(
+    begin: Callable[[], RunFolder],
+    go_on: Callable[[], RunFolder],
+    path: Path,
+    machines: Machines,
+) -> RunFolder:
+    """Train; where machines may come and go, go on from the last checkpoint when one is lost.
+
+    Raises:
+        ProcessEnded: If workers are lost again and again without a new checkpoint.
+    """
+    train, known, losses = begin, None, 0
+    while True:
+        try:
+            return train()
+        except ProcessEnded as error:
+            if not machines.elastic or not (path / CHECKPOINT).is_file():
+                raise
+            done = load_run(path).read()["done"]
+            losses = (losses if done == known else 0) + (not isinstance(error, MachinesLeft))
+            known = done
+            if losses >= TRIES:
+                raise
+            print(f"neatq: {error}; the run goes on from tick {done['ticks']}", file=sys.stderr)
+            train = go_on
+
+
 def resume(
     path: Path | str,
     *,
@@ -192,6 +232,7 @@ def resume(
     generations: int | None = None,
     until: float | None = None,
     workers: int | None = None,
+    cluster: str | None = None,
     callbacks: Sequence[Callback] = (),
 ) -> RunFolder:
     """Go on with a run, exactly where it stopped.
@@ -205,6 +246,7 @@ def resume(
             that has reached its own goes on, without one, to another length.
         workers: Processes among which Gymnasium environments are dealt; arenas stay with as many
             processes as the run was begun with.
+        cluster: Where these processes live, as in `train`; however many cores there are.
         callbacks: Called while it trains.
 
     Raises:
@@ -216,8 +258,21 @@ def resume(
         >>> resume("runs/wall-neatq-seed0", ticks=100_000)
     """
     path = Path(path).absolute()  # an environment may change the working directory
+    load_run(path)
+    end = {"ticks": ticks, "steps": steps, "generations": generations, "until": until}
+    with open_machines(cluster) as machines:
+        go_on = partial(_go_on, path, end, workers, machines, callbacks)
+        return _whatever_is_lost(go_on, go_on, path, machines)
+
+
+def _go_on(
+    path: Path,
+    end: Mapping[str, Any],
+    workers: int | None,
+    machines: Machines,
+    callbacks: Sequence[Callback],
+) -> RunFolder:
     folder = load_run(path)
-    end: Any = {"ticks": ticks, "steps": steps, "generations": generations, "until": until}
     with ending_by_signals(), ExitStack() as stack:
         try:
             stack.enter_context(locked(folder.path))
@@ -228,8 +283,9 @@ def resume(
         state, config = folder.load(**end), folder.config
         states, parts = state["runs"], config.split(len(state["runs"]))
         facts = None if state["facts"] is None else EnvFacts.from_dict(state["facts"])
-        everybody, count = [kind() for kind in BUILT_IN] + [*callbacks], _checked(workers, config)
-        team = stack.enter_context(open_workers(parts, states, facts, everybody, count))
+        everybody = [kind() for kind in BUILT_IN] + [*callbacks]
+        crew = _crew(workers, config, machines)
+        team = stack.enter_context(open_workers(parts, states, facts, everybody, crew))
         for change in folder.record.settings():
             for worker in team:
                 worker.make(change)
@@ -256,18 +312,20 @@ def default_folder(config: RunConfig) -> Path:
     return Path("runs") / f"{name}-{arm}-seed{config.seed}"
 
 
-def _checked(workers: int | None, config: RunConfig) -> int:
+def _crew(workers: int | None, config: RunConfig, machines: Machines) -> Crew:
     if workers is not None and workers < 1:
         raise ConfigError(f"workers: expected at least 1, got {workers}")
-    fitting = fitting_workers(config) if workers is None else workers
-    if workers is None and fitting > 1 and (script := unguarded_script()) is not None:
+    fitting = fitting_workers(config, machines) if workers is None else workers
+    if machines.elastic or workers is not None or fitting == 1:
+        return Crew(fitting, machines)
+    if (script := unguarded_script()) is not None:
         print(
             f"neatq: trains in one process; on {fitting} cores where {script.name} has "
             '`if __name__ == "__main__":` above what it does',
             file=sys.stderr,
         )
-        return 1
-    return fitting
+        fitting = 1
+    return Crew(fitting, machines)
 
 
 def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Callback]) -> None:
@@ -314,7 +372,7 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
                     break
     if signals and not session.over:
         raise_for(signals[0])
-    _test(session, [one for part in snapshots for one in part.champions])
+    judge_champions(session, [one for part in snapshots for one in part.champions])
     for callback in callbacks:
         callback.end(session)
 
@@ -361,81 +419,3 @@ def _take(session: Session, came: Sequence[Stride], callbacks: Sequence[Callback
     session.score = max([session.score, *scores])
     for callback in callbacks:
         callback.rows(session, rows)
-
-
-def _test(session: Session, champions: Sequence[Champion | None]) -> None:
-    """Test the champions of a Gymnasium task on episodes that nobody has seen."""
-    config, facts = session.config, session.facts
-    if not isinstance(config.world, GymnasiumConfig) or None in champions:
-        return
-    world = make_world(config.world, config.seeds, episodes=1, facts=facts)
-    assert isinstance(world, GymnasiumWorld)
-    assert facts is not None
-    seeds = [
-        episode_seeds(seed, 0, config.world.test_episodes, purpose=TEST) for seed in config.seeds
-    ]
-    known = [one for one in champions if one is not None]
-    returns = world.returns(
-        [one.genome for one in known],
-        np.stack(seeds),
-        heads_of(config, world),
-        config.network.evaluation,
-        double_activation=config.network.double_activation,
-        scalings=[one.scaling for one in known],
-    )
-    world.close()
-    arenas = [
-        {
-            "arena": arena,
-            "seed": config.seeds[arena],
-            "generation": champion.generation,
-            "evaluated_return": champion.score,
-            **summary(returns[arena]),
-        }
-        for arena, champion in enumerate(known)
-    ]
-    best = max(range(len(known)), key=lambda arena: known[arena].score)
-    session.folder.write_result(
-        {
-            "task": config.task,
-            "arm": config.arm,
-            "generations": session.lengths["generations"],
-            "champion": arenas[best],
-            "arenas": arenas,
-            "repeatable": facts.repeatable,
-            **_solved(session, best, known[best]),
-        }
-    )
-    if solved := session.folder.solved():
-        session.folder.notes.append(f"solved {solved}")
-    session.folder.notes.append(_said(arenas[best], arenas))
-
-
-def _solved(session: Session, arena: int, champion: Champion) -> dict[str, float]:
-    """By which return and after how many steps the best champion solved the task, if it did."""
-    until, rows = session.config.until, session.folder.metrics()
-    if until is None or champion.score < until:
-        return {}
-    crowned = (rows["arena"] == arena) & (rows["generation"] == champion.generation)
-    return {"until": until, "solved_after_steps": int(rows["steps"][crowned][0])}
-
-
-def _said(best: Mapping[str, Any], arenas: Sequence[Mapping[str, Any]]) -> str:
-    """What the test of the champions showed, in a line."""
-    text = (
-        f"champion of arena {best['arena']}: return {best['mean']:.1f} ± "
-        f"{best['standard_error']:.1f} (mean and standard error of {best['episodes']} new episodes)"
-    )
-    if len(arenas) > 1:
-        every = summary(np.array([one["mean"] for one in arenas]))
-        text += (
-            f"; of all {len(arenas)} arenas: {every['mean']:.1f} ± "
-            f"{every['standard_error']:.1f} over arenas"
-        )
-    return text
-
-
-def summary(returns: np.ndarray) -> dict[str, float | int]:
-    """Mean and standard error over episodes [episodes]."""
-    error = float(returns.std(ddof=1) / np.sqrt(returns.size)) if returns.size > 1 else 0.0
-    return {"mean": float(returns.mean()), "standard_error": error, "episodes": returns.size}

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from neatq_envs.processes import Remote, usable_cores
+from neatq_envs.machines import Crew, Distant, Machines
 from neatq_envs.random_play import EnvFacts
 from neatq_torch.genome import Genome
 from neatq_trainers.build import build
@@ -54,7 +54,7 @@ class LocalWorker:
         state: State | None,
         facts: EnvFacts | None,
         callbacks: Sequence[Callback],
-        workers: int = 1,
+        crew: Crew | None = None,
         *,
         tells: bool = True,
     ) -> None:
@@ -62,7 +62,7 @@ class LocalWorker:
         if tells:
             self._hearing.callback(CompilingTold().close)
         try:
-            self._run = build(config, state, facts=facts, workers=workers)
+            self._run = build(config, state, facts=facts, crew=crew)
         except BaseException:
             self._hearing.close()
             raise
@@ -102,34 +102,41 @@ def _in_process(tells: bool, *arguments: Any) -> LocalWorker:
     return LocalWorker(*arguments, tells=tells)
 
 
-class ProcessWorker(Remote):
-    """Trains in a process of its own; see `LocalWorker`."""
+class DistantWorker:
+    """Has a `LocalWorker` train elsewhere."""
+
+    def __init__(self, worker: Distant) -> None:
+        self._worker = worker
 
     def begin(self) -> None:
         """Ask for a stride."""
-        self.ask("finish")
+        self._worker.ask("finish")
 
     def finish(self) -> Stride:
         """Wait for a stride."""
-        return self.answer()
+        return self._worker.answer()
 
     def check(self, change: AnyChange) -> None:
         """Ask whether a change can be made."""
-        self.ask("check", change)
-        self.answer()
+        self._worker.ask("check", change)
+        self._worker.answer()
 
     def make(self, change: AnyChange) -> None:
         """Have a change made."""
-        self.ask("make", change)
-        self.answer()
+        self._worker.ask("make", change)
+        self._worker.answer()
 
     def snapshot(self) -> Snapshot:
         """Ask for the state, and wait for it."""
-        self.ask("snapshot")
-        return self.answer()
+        self._worker.ask("snapshot")
+        return self._worker.answer()
+
+    def close(self) -> None:
+        """End it."""
+        self._worker.close()
 
 
-Worker = LocalWorker | ProcessWorker
+Worker = LocalWorker | DistantWorker
 
 
 @contextmanager
@@ -138,19 +145,21 @@ def open_workers(
     states: Sequence[State | None],
     facts: EnvFacts | None,
     callbacks: Sequence[Callback],
-    workers: int,
+    crew: Crew,
 ) -> Iterator[Sequence[Worker]]:
-    """A worker for each part of a run: this process if there is one part, else a process each."""
+    """A worker for each part of a run: this process if there is one part, else one elsewhere."""
     own = [one for one in callbacks if _is_called_there(one)]
     with ExitStack() as stack:
         opened: list[Worker] = []
         for config, state in zip(parts, states, strict=True):
             arguments = config, state, facts, own
             if len(parts) == 1:
-                opened.append(LocalWorker(*arguments, workers))
+                opened.append(LocalWorker(*arguments, crew))
             else:
                 tells = not opened  # one of them tells what all of them do
-                opened.append(ProcessWorker(_in_process, tells, *arguments))
+                everything = _in_process, tells, *arguments
+                worker = crew.machines.open(*everything, together=len(parts))
+                opened.append(DistantWorker(worker))
             stack.callback(opened[-1].close)
         yield opened
 
@@ -161,8 +170,9 @@ def _is_called_there(callback: Callback) -> bool:
     return kind.batch is not Callback.batch or kind.advance is not Callback.advance
 
 
-def fitting_workers(config: RunConfig) -> int:
-    """How many processes make the most of this machine for a run."""
+def fitting_workers(config: RunConfig, machines: Machines) -> int:
+    """How many processes make the most of machines for a run."""
     if config.world.lasting:
-        return max(1, min(usable_cores(), config.arenas // ARENAS_PER_WORKER))
-    return usable_cores()
+        each = 1 if machines.elastic else ARENAS_PER_WORKER  # a core more is at hand there
+        return max(1, min(machines.cores(), config.arenas // each))
+    return machines.cores()

@@ -21,7 +21,7 @@ from torchrl.envs import EnvBase
 from neatq_envs.episodes import EpisodeError, EpisodeRows, Starts
 from neatq_envs.gymnasium_rows import make_rows
 from neatq_envs.gymnasium_task import PREFIX, GymnasiumTask, TaskError
-from neatq_envs.processes import Remote
+from neatq_envs.machines import Crew, Machines
 from neatq_envs.random_play import EnvFacts, ObservationScaling, WideScaling, look_around
 from neatq_envs.scenario import TASKS, Scenario
 from neatq_envs.sensors import schema_of
@@ -192,7 +192,7 @@ class GymnasiumWorld(World):
         seeds: One for each arena.
         facts: What `facts_of` has found.
         episodes: Of each slot in a generation; None: episode after episode without end.
-        workers: Processes among which the environments of this run are dealt.
+        crew: Among whom the environments of this run are dealt; None: this process has them.
         normalized: Whether observations are normalised after they are scaled.
     """
 
@@ -204,14 +204,14 @@ class GymnasiumWorld(World):
         seeds: range,
         facts: EnvFacts,
         episodes: int | None,
-        workers: int = 1,
+        crew: Crew | None = None,
         *,
         normalized: bool = False,
     ) -> None:
-        self.config, self.facts, self._workers = config, facts, workers
+        self.config, self.facts, self._crew = config, facts, crew
         self._generational = episodes is not None
         task = config.task
-        rows, self.interface = make_rows(task, renewed=facts.renewed, workers=workers)
+        rows, self.interface = make_rows(task, renewed=facts.renewed, crew=crew)
         # One arena is evaluated when all its episodes are over; of several, others may not be.
         alone = self._generational and len(seeds) == 1
         self._rows, self._free = rows, rows if alone else None
@@ -269,7 +269,7 @@ class GymnasiumWorld(World):
         flat = [genome for genome in genomes for _ in range(seeds.shape[1])]
         if self._free is None:  # those of the run are in the middle of episodes
             task, renewed = self.config.task, self.facts.renewed
-            self._free, _ = make_rows(task, renewed=renewed, workers=self._workers)
+            self._free, _ = make_rows(task, renewed=renewed, crew=self._crew)
         episodes = EpisodeRows(self._free, self.config.id, lambda i: f"genome {flat[i].genome_id}")
         episodes.begin(Starts.given(seeds.reshape(-1, 1)))
         network = PopulationNetwork(flat, evaluation=evaluation)
@@ -351,7 +351,7 @@ def make_world(
     *,
     episodes: int | None,
     facts: EnvFacts | None = None,
-    workers: int = 1,
+    crew: Crew | None = None,
     normalized: bool = False,
 ) -> World:
     """The world of a configuration; see `GymnasiumWorld`, which alone asks for the rest."""
@@ -362,17 +362,19 @@ def make_world(
     if isinstance(config, EnvConfig):
         return EnvWorld(config, seeds)
     assert facts is not None
-    return GymnasiumWorld(config, seeds, facts, episodes, workers, normalized=normalized)
+    return GymnasiumWorld(config, seeds, facts, episodes, crew, normalized=normalized)
 
 
-def facts_of(config: WorldConfig, discount: float, *, apart: bool = False) -> EnvFacts | None:
+def facts_of(
+    config: WorldConfig, discount: float, *, apart: Machines | None = None
+) -> EnvFacts | None:
     """What must be known of a Gymnasium task before a run; None of other worlds.
 
     Args:
         config: The world.
         discount: Of the returns.
-        apart: Play in a process of its own, so that an environment which ends its process does not
-            end the program.
+        apart: Play in a process of these, so that an environment which ends its process does not
+            end the program; None: play here.
 
     Raises:
         TaskError: If the environment cannot be used, its episodes do not end, or its process does.
@@ -380,9 +382,9 @@ def facts_of(config: WorldConfig, discount: float, *, apart: bool = False) -> En
     """
     if not isinstance(config, GymnasiumConfig):
         return None
-    if not apart:
+    if apart is None:
         return look_around(config.task, discount)
-    remote = Remote(look_around, config.task, discount)
+    remote = apart.open(look_around, config.task, discount)
     try:
         remote.ask("to_dict")
         return EnvFacts.from_dict(remote.answer())

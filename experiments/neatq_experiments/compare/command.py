@@ -12,7 +12,6 @@ import tyro
 from matplotlib.figure import Figure
 
 from neatq_envs.gymnasium_task import assignments
-from neatq_envs.processes import usable_cores
 from neatq_envs.scenario import TASKS
 from neatq_experiments.compare import figures, variants
 from neatq_experiments.compare.cells import grid, outdated, runs_of, study_of
@@ -40,13 +39,14 @@ from neatq_experiments.compare.tables import (
     read_tables,
     write_tables,
 )
-from neatq_experiments.seeds import Results, Runs, read_results, run_missing
+from neatq_experiments.seeds import Results, Runs, Spread, read_results, run_missing
 from neatq_torch.atomic import write_atomic
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.names import file_name
 from neatq_trainers.report import save_figure
 from neatq_trainers.train import LENGTHS
 
+_OF_RUNS = ("env_kwargs", *LENGTHS)
 REPORT, CELLS = "report.md", "cells"
 FULL_SEEDS, QUICK_SEEDS = 20, 2
 PAPER_TASKS = "flag", "moving", "wall"
@@ -91,6 +91,12 @@ class CompareCommand:
     tables are put there as .csv.gz."""
     jobs: int | None = None
     """Processes; the results do not depend on it. Default: one for each core."""
+    cluster: str | None = None
+    """Run it on a Ray cluster: auto (the one that this machine belongs to), ray://HOST:10001, or
+    local, which begins one. Machines may come and go."""
+    storage: str | None = None
+    """Where a cluster mirrors what is under way if its machines do not share the folder --out: a
+    URL such as s3://bucket/study, or a folder that they share."""
     out: Path | None = None
     """Where everything is written. Default: runs/compare, with --quick runs/compare-quick, with
     --results that folder."""
@@ -138,6 +144,8 @@ def compare(  # noqa: PLR0913  (as many as the command has options)
     generations: int | None = None,
     env_kwargs: Mapping[str, Any] | None = None,
     jobs: int | None = None,
+    cluster: str | None = None,
+    storage: str | None = None,
     out: Path | str | None = None,
 ) -> Comparison:
     """Run arms beside each other on tasks, over the same seeds; write tables, figures and report.
@@ -157,6 +165,8 @@ def compare(  # noqa: PLR0913  (as many as the command has options)
         generations: Length of each run on a Gymnasium task.
         env_kwargs: Keys of the scenario, or arguments of the environment, with other values.
         jobs: Processes; the results do not depend on it. Default: one for each core.
+        cluster: A Ray cluster to run it on: "auto", "local", "ray://HOST:10001".
+        storage: Where that mirrors what is under way, if its machines do not share the folder.
         out: Where everything is written. Default: runs/compare, if quick runs/compare-quick.
 
     Raises:
@@ -175,10 +185,8 @@ def compare(  # noqa: PLR0913  (as many as the command has options)
         ticks=ticks,
         steps=steps,
         generations=generations,
-        env_kwargs=tuple(
-            f"{name}={json.dumps(value)}" for name, value in (env_kwargs or {}).items()
-        ),
-        jobs=jobs,
+        env_kwargs=tuple(f"{key}={json.dumps(one)}" for key, one in (env_kwargs or {}).items()),
+        **{"jobs": jobs, "cluster": cluster, "storage": storage},
         out=None if out is None else Path(out),
     )
     found = _found(command)
@@ -225,7 +233,7 @@ def _refuse_impossible(command: CompareCommand) -> None:
             raise ConfigError(f"{name}: expected at least 1, got {value}")
     if command.first_seed < 0:
         raise ConfigError(f"first_seed: expected at least 0, got {command.first_seed}")
-    for name in ("seeds", "first_seed", "jobs", "quick", "env_kwargs", *LENGTHS):
+    for name in ("seeds", "first_seed", "jobs", "cluster", "storage", "quick", *_OF_RUNS):
         if getattr(command, name) and command.results is not None:
             raise ConfigError(f"{name}: nothing is run with --results; leave one of them out")
 
@@ -240,12 +248,14 @@ def _run_grid(command: CompareCommand) -> Comparison:
         length={unit: getattr(command, unit) for unit in LENGTHS},
     )
     seeds = command.seeds or (QUICK_SEEDS if command.quick else FULL_SEEDS)
-    jobs, folder = command.jobs or usable_cores(), command.folder / CELLS
+    spread = Spread(jobs=command.jobs, cluster=command.cluster, storage=command.storage)
+    folder = command.folder / CELLS
 
     def results(runs: Runs) -> Results:
         begin = command.first_seed
         if runs.arms:
-            run_missing(runs, folder, seeds=seeds, quick=command.quick, jobs=jobs, begin=begin)
+            asked: Any = {"seeds": seeds, "quick": command.quick, "begin": begin}
+            run_missing(runs, folder, **asked, spread=spread)
         return read_results(runs, folder, seeds, begin)
 
     near = [cell for cell in cells if cell.in_arena]

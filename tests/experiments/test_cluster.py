@@ -1,0 +1,221 @@
+"""Studies on a Ray cluster: machines come and go, results are those of one machine."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from neatq_envs.machines import ClusterError, open_machines
+from neatq_envs.processes import ProcessEnded
+from neatq_experiments import storage
+from neatq_experiments.seeds import Result, Runs, SeedTask, Spread, read_results, run_missing
+from neatq_experiments.storage import Mirror, mirrored
+from neatq_trainers.folder import CHECKPOINT
+
+pytest.importorskip("ray")
+pytestmark = pytest.mark.filterwarnings("ignore")  # of Ray, about itself
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody is waited for long who does not answer."""
+    from neatq_envs import ray_cluster
+
+    monkeypatch.setattr(ray_cluster, "CONNECT_SECONDS", 2.0)
+
+
+def squares(task: SeedTask) -> list[Result]:
+    return [{"value": seed**2} for seed in task.seeds]
+
+
+def squares_when_let_go(task: SeedTask) -> list[Result]:
+    """Says who has begun the task, and waits until the study has a file `go`."""
+    study = task.folder.parents[1]
+    with (study / f"begun-{task.arm}-{task.seeds[0]}").open("a") as file:
+        file.write(f"{os.getpid()}\n")
+    while not (study / "go").exists():
+        time.sleep(0.05)
+    return squares(task)
+
+
+def fail_at_seed_1(task: SeedTask) -> list[Result]:
+    if 1 in task.seeds:
+        raise OverflowError("seed 1 does not end well")
+    return squares(task)
+
+
+def die_at_seed_1(task: SeedTask) -> list[Result]:
+    if 1 in task.seeds:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return squares(task)
+
+
+def leave_a_file(task: SeedTask) -> list[Result]:
+    (task.folder / "lines.csv").write_text("line\n")
+    return squares(task)
+
+
+SQUARES = Runs(name="squares", arms=("a", "b"), run=squares)
+
+
+class Nodes:
+    """A cluster of three nodes on this machine."""
+
+    def __init__(self) -> None:
+        from ray.cluster_utils import Cluster
+
+        self.cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+        self.others = [self.cluster.add_node(num_cpus=1) for _ in range(2)]
+        self.address = self.cluster.address
+
+    def kill_one(self) -> None:
+        self.cluster.remove_node(self.others.pop(), allow_graceful=False)
+
+
+@pytest.fixture(scope="module")
+def nodes() -> Iterator[Nodes]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))  # workers import this module
+        nodes = Nodes()
+        yield nodes
+        nodes.cluster.shutdown()
+
+
+def results(runs: Runs, folder: Path, spread: Spread, count: int = 4) -> Any:
+    run_missing(runs, folder, seeds=count, quick=False, spread=spread)
+    return read_results(runs, folder, count)
+
+
+def test_a_study_on_three_nodes_is_that_of_one_machine(nodes: Nodes, tmp_path: Path) -> None:
+    there = results(SQUARES, tmp_path / "there", Spread(cluster=nodes.address))
+    assert there == results(SQUARES, tmp_path / "here", Spread(jobs=1))
+
+
+def kill_in_the_middle(study: Path, nodes: Nodes) -> None:
+    """Once three tasks have begun, kill a process and a node; then let all others go on."""
+    while len(begun := sorted(study.glob("begun-*"))) < 3:
+        time.sleep(0.05)
+    os.kill(int(begun[0].read_text()), signal.SIGKILL)
+    nodes.kill_one()
+    (study / "go").touch()
+
+
+def test_a_study_loses_a_process_and_a_node_and_is_the_same(
+    nodes: Nodes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "there"
+    folder.mkdir()
+    killer = threading.Thread(target=kill_in_the_middle, args=(folder, nodes))
+    killer.start()
+    waiting = replace(SQUARES, run=squares_when_let_go)
+    there = results(waiting, folder, Spread(cluster=nodes.address))
+    killer.join()
+    assert there == results(SQUARES, tmp_path / "here", Spread(jobs=1))
+    begun = [len(one.read_text().split()) for one in folder.glob("begun-*")]
+    assert len(begun) == 8
+    assert 9 <= sum(begun) <= 10  # of the two that were lost one may have been done by the node
+    told = capsys.readouterr().err.splitlines()
+    assert len([line for line in told if "lost 1 times, done on" in line]) == sum(begun) - 8
+
+
+def test_a_task_that_loses_its_process_again_and_again_does_not_stop_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    deadly = replace(SQUARES, arms=("a",), run=die_at_seed_1)
+    with pytest.raises(ProcessEnded, match="SIGKILL"):
+        run_missing(deadly, tmp_path, seeds=4, quick=False, spread=Spread(jobs=2))
+    assert [one["seed"] for one in read_results(deadly, tmp_path, 4)["a"]] == [0, 2, 3]
+    assert "squares: a, seeds 1: lost 3 times, given up" in capsys.readouterr().err
+
+
+def test_what_is_under_way_is_mirrored_and_gone_on_with_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(storage, "MIRROR_SECONDS", 0.01)
+    url, there = f"file://{tmp_path}/bucket", tmp_path / "bucket/a/work-0/run/lines.csv"
+    with pytest.raises(OverflowError), mirrored(tmp_path / "out/a/work-0", url) as folder:
+        (folder / "run").mkdir()
+        (folder / "run" / there.name).write_text("half")
+        while not there.is_file():
+            time.sleep(0.01)
+        raise OverflowError("the machine is lost")
+    assert not folder.exists()
+    with mirrored(tmp_path / "out/a/work-0", url) as folder:
+        assert (folder / "run" / there.name).read_text() == "half"
+    assert not there.exists(), "what is over is removed"
+    assert not (tmp_path / "out").exists()
+
+
+def test_with_a_storage_the_folder_of_a_study_has_results_alone(tmp_path: Path) -> None:
+    leaving, out = replace(SQUARES, arms=("a",), run=leave_a_file), tmp_path / "out"
+    spread = Spread(jobs=1, storage=str(tmp_path / "bucket"))
+    run_missing(leaving, out, seeds=2, quick=False, spread=spread)
+    assert sorted(one.name for one in out.rglob("*")) == ["a", "seed-0.json", "seed-1.json"]
+
+
+def test_checkpoints_are_mirrored_before_what_lies_beside_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work, order = tmp_path / "work", []
+    mirror = Mirror(work, f"file://{tmp_path}/there")
+    for name in ("a.csv", CHECKPOINT, "z.csv"):
+        (work / "run").mkdir(parents=True, exist_ok=True)
+        (work / "run" / name).write_text(name)
+    put = mirror._there.put_file
+
+    def noted(one: str, two: str) -> None:
+        order.append(Path(one).name)
+        put(one, two)
+
+    monkeypatch.setattr(mirror._there, "put_file", noted)
+    mirror.push()
+    mirror.push()  # nothing has changed
+    assert order[0] == CHECKPOINT
+    assert sorted(order[1:]) == ["a.csv", "z.csv"]
+    again = Mirror(tmp_path / "again", f"file://{tmp_path}/there")
+    again.folder.mkdir()
+    again.fetch()
+    assert (tmp_path / "again/run/z.csv").read_text() == "z.csv"
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("localhost:1", "no Ray answers at localhost:1; ray start --head begins"),
+        ("ray://localhost:1", "no Ray answers at localhost:1"),
+        ("http://somewhere", "expected auto, local, ray://HOST:10001 or HOST:6379, got http"),
+    ],
+)
+def test_a_wrong_address_is_said_in_a_sentence_at_once(address: str, words: str) -> None:
+    with pytest.raises(ClusterError, match=words), open_machines(address):
+        pass
+
+
+def test_who_listens_and_is_not_ray_is_not_waited_for() -> None:
+    with socket.create_server(("localhost", 0)) as server:
+        address = f"localhost:{server.getsockname()[1]}"
+        with (
+            pytest.raises(ClusterError, match=f"no Ray answers at {address}"),
+            open_machines(address),
+        ):
+            pass
+
+
+def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    monkeypatch.delitem(sys.modules, "neatq_envs.ray_cluster", raising=False)
+    with (
+        pytest.raises(ClusterError, match=r'pip install "neatq_torch\[ray\]"'),
+        open_machines("auto"),
+    ):
+        pass

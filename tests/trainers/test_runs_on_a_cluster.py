@@ -1,0 +1,174 @@
+"""A run whose workers live on a Ray cluster is the run of one process, whatever is lost."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from neatq_envs.machines import ThisMachine, open_machines
+from neatq_envs.processes import ProcessEnded
+from neatq_trainers.callbacks import Callback
+from neatq_trainers.config import RunConfig
+from neatq_trainers.folder import CHAMPION, METRICS, load_run
+from neatq_trainers.rows import Row
+from neatq_trainers.run import Run
+from neatq_trainers.train import Session, resume, start
+
+ray = pytest.importorskip("ray")
+pytestmark = [
+    pytest.mark.usefixtures("without_pictures"),
+    pytest.mark.filterwarnings("ignore"),  # of Ray, about itself
+]
+Tiny = Callable[..., RunConfig]
+
+
+class Nodes:
+    """A head and two more nodes of one core each on this machine."""
+
+    def __init__(self) -> None:
+        from ray.cluster_utils import Cluster
+
+        self.cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+        self.address = self.cluster.address
+        self.others = [self.cluster.add_node(num_cpus=1) for _ in range(2)]
+
+    def kill_one(self) -> None:
+        self.cluster.remove_node(self.others.pop(), allow_graceful=False)
+
+
+@pytest.fixture(scope="module")
+def nodes() -> Iterator[Nodes]:
+    with pytest.MonkeyPatch.context() as patch:
+        tests = Path(__file__).parents[1]
+        path = tests.parent, tests / "toy"  # workers import this module, and the toy tasks
+        patch.setenv("PYTHONPATH", os.pathsep.join(map(str, path)))
+        nodes = Nodes()
+        yield nodes
+        nodes.cluster.shutdown()
+
+
+def same(one: Path, two: Path) -> bool:
+    names = METRICS, CHAMPION
+    return [(one / name).read_bytes() for name in names] == [
+        (two / name).read_bytes() for name in names
+    ]
+
+
+def test_signals_stay_who_ends_a_run(nodes: Nodes) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with open_machines(nodes.address) as machines:
+        assert machines.cores() >= 2
+        assert signal.getsignal(signal.SIGTERM) is before
+
+
+class Late(Callback):
+    """Does something when a run is as long as that, once."""
+
+    def __init__(self, ticks: int, act: Callable[[], object]) -> None:
+        self.ticks, self.act = ticks, act
+
+    def rows(self, session: Session, rows: Sequence[Row]) -> None:
+        if session.lengths["ticks"] >= self.ticks:
+            self.ticks = 10**9
+            self.act()
+
+
+class WhoTrains(Callback):
+    """Writes down which process trains."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def batch(self, run: Run, batch: Any, error: Any) -> None:
+        (self.folder / str(os.getpid())).touch()
+
+
+@pytest.fixture(scope="module")
+def config(tiny: Tiny) -> RunConfig:
+    return tiny("neatq", arenas=3, ticks=320, checkpoint_seconds=0.0)
+
+
+@pytest.fixture(scope="module")
+def alone(config: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return start(config, tmp_path_factory.mktemp("alone") / "run").path
+
+
+def test_arenas_on_three_nodes_survive_a_process_and_a_node(
+    nodes: Nodes,
+    config: RunConfig,
+    alone: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("neatq_trainers.train.STRIDES_AHEAD", 1)
+    who = tmp_path / "who"
+    who.mkdir()
+
+    def kill_worker() -> None:
+        os.kill(int(next(who.iterdir()).name), signal.SIGKILL)
+
+    callbacks = [WhoTrains(who), Late(80, kill_worker), Late(200, nodes.kill_one)]
+    start(config, tmp_path / "run", workers=None, cluster=nodes.address, callbacks=callbacks)
+    assert str(os.getpid()) not in {one.name for one in who.iterdir()}
+    assert same(alone, tmp_path / "run")
+    assert [len(run["populations"]) for run in load_run(tmp_path / "run").read()["runs"]] == [1] * 3
+    told = re.findall("the run goes on from tick ([0-9]+)", capsys.readouterr().err)
+    assert int(told[0]) < 80 <= int(told[-1])
+
+
+def test_a_run_goes_on_on_another_cluster_or_without_one(
+    nodes: Nodes, config: RunConfig, alone: Path, tmp_path: Path
+) -> None:
+    """Three workers on the two cores that are left, and none of them in this process."""
+    start(replace(config, ticks=120), tmp_path / "run", workers=3)
+    resume(tmp_path / "run", ticks=200, cluster=nodes.address)
+    resume(tmp_path / "run", ticks=320)
+    assert same(alone, tmp_path / "run")
+
+
+def test_environments_are_dealt_to_a_cluster(nodes: Nodes, tiny_walk: Tiny, tmp_path: Path) -> None:
+    config = tiny_walk("neat+q", generations=3)
+    start(config, tmp_path / "one")
+    start(config, tmp_path / "two", workers=2, cluster=nodes.address)
+    assert same(tmp_path / "one", tmp_path / "two")
+
+
+def test_who_is_lost_again_and_again_ends_the_run(
+    config: RunConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    losses = []
+
+    def lose(*_: object) -> None:
+        losses.append(1)
+        raise ProcessEnded("gone")
+
+    monkeypatch.setattr(ThisMachine, "elastic", True)
+    monkeypatch.setattr("neatq_trainers.train._train", lose)
+    with pytest.raises(ProcessEnded, match="gone"):
+        start(config, tmp_path / "run", workers=1)
+    assert len(losses) == 3
+
+
+@pytest.mark.parametrize(
+    ("cores", "objects", "share"),
+    [
+        ([1, 1, 1], 3, 1.0),
+        ([4, 2], 3, 1.0),
+        ([1, 1], 3, 0.5),  # not 2 / 3: two of them need a core each
+        ([3, 1], 5, 0.75),  # four on the first, one on the second
+        ([2], 64, 0.0312),
+        ([], 2, 0.0),
+    ],
+)
+def test_all_objects_find_room(cores: list[float], objects: int, share: float) -> None:
+    from neatq_envs.ray_cluster import fitting_share
+
+    assert fitting_share(cores, objects) == share
