@@ -263,9 +263,7 @@ class RtNEAT(Population):
         breeders = self._breeders(score, eligible)
         pioneer = self._pioneer(self.eligible, breeders)
         if slot is None:
-            free = ~self.slots_of(self.protected)
-            room = eligible & free
-            slot = self._worst(score, room if room.any() else free, pioneer)
+            slot = self._worst(score, eligible, pioneer)
         removed = self.genomes[slot].genome_id
         self.speciation.remove(slot)
         mother = None if parents else self._mother(slot, pioneer)
@@ -280,11 +278,18 @@ class RtNEAT(Population):
         self._settle(slot, genome)
         return Replacement(slot, genome, removed, ids)
 
-    def adopt(self, slot: int, genome: Genome) -> Replacement:
-        """Let a genome that this population once had take a slot, by a new number.
+    def adopt(self, genome: Genome, slot: int | None = None) -> Replacement:
+        """Let a genome that was bred before, here or elsewhere, take a slot, by a new number.
 
         It counts as the child of whoever it replaces.
+
+        Args:
+            genome: has the inputs and outputs of this population, and no number of a gene that
+                means another one here; see `InnovationLedger.number_apart`.
+            slot: which; None: as of `replace`.
         """
+        if slot is None:
+            slot = self._worst(self.score, self.eligible, self.pioneer)
         removed = self.genomes[slot].genome_id
         self.speciation.remove(slot)
         genome = genome.replaced(genome_id=self.next_genome_id)
@@ -306,9 +311,11 @@ class RtNEAT(Population):
         self.speciation.count_offspring(self.genomes, self.birth_order)
 
     def _worst(
-        self, score: NDArray[np.float64], room: NDArray[np.bool_], pioneer: int | None
+        self, score: NDArray[np.float64], eligible: NDArray[np.bool_], pioneer: int | None
     ) -> int:
-        """The slot among some that makes room: of equal ones the oldest."""
+        """The slot that makes room: of those nobody protects, of equal ones the oldest."""
+        free = ~self.slots_of(self.protected)
+        room = eligible & free if (eligible & free).any() else free
         adjusted = score / self.speciation.sizes(len(self.genomes))
         if pioneer is not None:
             adjusted[pioneer] = np.inf

@@ -30,10 +30,11 @@ class InnovationLedger:
     list is never cleared, in NEAT after every generation. It is part of a run's state.
     """
 
-    def __init__(self, next_innovation: int = 1, next_node_id: int = 1) -> None:
-        """Start an empty ledger whose first new link and node get these numbers."""
+    def __init__(self, next_innovation: int = 1, next_node_id: int = 1, step: int = 1) -> None:
+        """Start an empty ledger whose first new link and node get these numbers, then each step."""
         self.next_innovation = next_innovation
         self.next_node_id = next_node_id
+        self.step = step
         self._links: dict[tuple[int, int, bool], LinkInnovation] = {}
         self._splits: dict[int, list[Split]] = {}
 
@@ -51,12 +52,22 @@ class InnovationLedger:
             ledger.next_node_id = max(ledger.next_node_id, int(genome.node_id.max()) + 1)
         return ledger
 
+    def number_apart(self, part: int, parts: int) -> None:
+        """Give from now on only numbers that leave the remainder `part` when divided by `parts`.
+
+        So do the ledgers of populations that exchange genomes: no number has two meanings. What
+        both find has two numbers, as two mutations of two generations have in NEAT.
+        """
+        self.step = parts
+        self.next_innovation += (part - self.next_innovation) % parts
+        self.next_node_id += (part - self.next_node_id) % parts
+
     def link(self, source: int, target: int, recurrent: bool, weight: float) -> LinkInnovation:
         """Return number and weight for a new link; `weight` counts only if it is the first."""
         key = (int(source), int(target), bool(recurrent))
         if key not in self._links:
             self._links[key] = LinkInnovation(self.next_innovation, float(weight))
-            self.next_innovation += 1
+            self.next_innovation += self.step
         return self._links[key]
 
     def split(self, link_innovation: int, taken_node_ids: Collection[int]) -> Split:
@@ -69,9 +80,9 @@ class InnovationLedger:
         for split in splits:
             if split.node_id not in taken_node_ids:
                 return split
-        split = Split(self.next_node_id, self.next_innovation, self.next_innovation + 1)
-        self.next_node_id += 1
-        self.next_innovation += 2
+        split = Split(self.next_node_id, self.next_innovation, self.next_innovation + self.step)
+        self.next_node_id += self.step
+        self.next_innovation += 2 * self.step
         splits.append(split)
         return split
 
@@ -85,6 +96,7 @@ class InnovationLedger:
         return {
             "next_innovation": self.next_innovation,
             "next_node_id": self.next_node_id,
+            "step": self.step,
             "links": [[*key, *known] for key, known in self._links.items()],
             "splits": [[link, *split] for link, splits in self._splits.items() for split in splits],
         }
@@ -92,7 +104,8 @@ class InnovationLedger:
     @classmethod
     def from_state(cls, state: Mapping[str, Any]) -> Self:
         """Return the ledger that `state_dict` described."""
-        ledger = cls(state["next_innovation"], state["next_node_id"])
+        step = state.get("step", 1)  # before there were islands none was saved
+        ledger = cls(state["next_innovation"], state["next_node_id"], step)
         for source, target, recurrent, innovation, weight in state["links"]:
             ledger._links[source, target, recurrent] = LinkInnovation(innovation, weight)
         for link, *split in state["splits"]:

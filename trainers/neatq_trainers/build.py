@@ -28,6 +28,7 @@ from neatq_torch.learning import (
 from neatq_torch.network import PopulationNetwork
 from neatq_trainers.config import RunConfig, named
 from neatq_trainers.metrics import DistanceMetrics, metrics_of
+from neatq_trainers.migration import MOST_ISLANDS
 from neatq_trainers.nero.nero_world import NeroConfig
 from neatq_trainers.run import Run, State
 from neatq_trainers.saved import check_form, restoring
@@ -119,7 +120,7 @@ def _restore(run: Run, state: State) -> None:
             columns = name in ("policy", "learner")
             fresh.pop("scenario", None)  # the world reads it, as it may have become another one
             check_form(state[name], fresh, columns=columns, where=f".{name}")
-    run.tick = state["tick"]
+    run.tick, run.migrations = state["tick"], state.get("migrations", 0)
     run.policy.load_state_dict(state["policy"])
     run.learner.load_state_dict(state["learner"])
     run.metrics.load_state_dict(state["metrics"])
@@ -171,7 +172,7 @@ def _populations(
     if ranks and heads.outputs == heads.candidates > 1:
         usual = "identity"
     try:
-        return [
+        founded = [
             kind.start(
                 own,
                 slots=world.shape[1],
@@ -186,6 +187,10 @@ def _populations(
         ]
     except ValueError as error:
         raise ConfigError(named("population", error)) from error
+    if config.migration is not None:
+        for seed, population in zip(config.seeds, founded, strict=True):
+            population.ledger.number_apart(seed % MOST_ISLANDS, MOST_ISLANDS)
+    return founded
 
 
 def _network(

@@ -216,7 +216,7 @@ class LoadTeam(Change, frozen=True, tag="team"):
         """See `Change`."""
         population = evolving(run)
         genomes = map(Genome.from_dict, self.genomes)
-        replacements = [population.adopt(slot, one) for slot, one in enumerate(genomes)]
+        replacements = [population.adopt(one, slot) for slot, one in enumerate(genomes)]
         _begin_again(run, replacements)
         assert run.network is not None
         for one in replacements:  # they know what they know, and were not to be taught as newborns

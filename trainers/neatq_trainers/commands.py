@@ -29,7 +29,7 @@ from neatq_torch.kinds import ARMS_PAGE, WORLDS_PAGE, ConfigError
 from neatq_torch.learning import learner_kinds
 from neatq_trainers import arms
 from neatq_trainers import train as trainer
-from neatq_trainers.config import LENGTHS
+from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.effects import refuse_without_effect
 from neatq_trainers.folder import CHECKPOINT, FILES, RunFolder, load_run
 from neatq_trainers.live.command import opened, window_options
@@ -121,7 +121,7 @@ def train_command(arguments: list[str], window: argparse.Namespace | None = None
     )
     refuse_strangers(default, given)
     options = parse(options_of(default, given), "train", rest)
-    config = with_options(default, options)
+    config = _with_islands(with_options(default, options), chosen)
     refuse_without_effect(config, given)
     folder = trainer.default_folder(config) if options.out is None else options.out
     with _saying_how_to_go_on(folder, here, "resume" if window is None else "play"):
@@ -146,10 +146,34 @@ def _chosen(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     first.add_argument("--against", nargs="+", action="extend")
     first.add_argument("--changes", type=Path)
     first.add_argument("--held-out", "--held_out", nargs="+", action="extend")
+    first.add_argument("--islands", type=int)
+    first.add_argument("--migrate-every", type=int)
+    first.add_argument("--migrate-to")
+    first.add_argument("--emigrants", type=int)
+    first.add_argument("--emigrants-are")
     try:
         return first.parse_known_args(arguments)
     except argparse.ArgumentError as error:
         raise ConfigError(str(error).removeprefix("argument ")) from error
+
+
+def _with_islands(config: RunConfig, chosen: argparse.Namespace) -> RunConfig:
+    """The run, with what is said of arenas that exchange genomes.
+
+    Raises:
+        ConfigError: If something is said of them, and there are none.
+    """
+    names = {"migrate_every": "every_ticks", "migrate_to": "topology", "emigrants": "emigrants"}
+    names["emigrants_are"] = "chosen"
+    own = {to: getattr(chosen, name) for name, to in names.items()}
+    own = {name: value for name, value in own.items() if value is not None}
+    if chosen.islands is None:
+        if own:
+            raise ConfigError("islands: expected a number; the other options are about islands")
+        return config
+    if config.arenas != 1:
+        raise ConfigError("arenas: leave it out; --islands says how many there are")
+    return config.changed({"arenas": chosen.islands, "migration": own})
 
 
 def _of_nero(chosen: argparse.Namespace) -> dict[str, Any]:

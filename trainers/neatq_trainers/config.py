@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, make_dataclass, replace
+from dataclasses import dataclass, field, fields, make_dataclass
 from itertools import pairwise
 from typing import Any, Literal, TypeVar, get_args, get_type_hints
 
@@ -24,6 +25,7 @@ from neatq_torch.learning import (
     learner_kinds,
 )
 from neatq_torch.network import Evaluation
+from neatq_trainers.migration import MOST_ISLANDS, MigrationConfig
 from neatq_trainers.worlds import EnvConfig, GymnasiumConfig, WorldConfig, world_kinds
 
 Normalization = Literal["running"]
@@ -102,6 +104,7 @@ class RunConfig:
         arenas: Independent populations side by side; arena i is the run with seed + i. Rivals come
             in pairs, of which each is the run with the seed of its first arena.
         seed: Of arena 0.
+        migration: How the arenas of robots exchange genomes; None: they do not.
         batch_ticks: Ticks between two updates; evolution replaces genomes between batches. None:
             as many as population and learner ask for.
         checkpoint_seconds: Time between two checkpoints. Does not change the run.
@@ -120,6 +123,7 @@ class RunConfig:
     until: float | None = None
     arenas: int = 1
     seed: int = 0
+    migration: MigrationConfig | None = None
     batch_ticks: int | None = None
     checkpoint_seconds: float = 30.0
     logger: LoggerName | None = None
@@ -165,7 +169,26 @@ class RunConfig:
                 "others that live on: only robots in the arena of the population rtneat have both"
             )
 
+    def _check_migration(self, migration: MigrationConfig) -> None:
+        kinds = isinstance(self.population, RtNEATConfig) and self.world.together == 1
+        if not kinds or isinstance(self.world, GymnasiumConfig | EnvConfig):
+            raise ConfigError(
+                "migration: expected None; genomes travel between arenas of robots that are "
+                "replaced one by one (the population rtneat), and not between rivals"
+            )
+        if not 2 <= self.arenas <= MOST_ISLANDS:
+            raise ConfigError(f"arenas: expected 2 to {MOST_ISLANDS} islands, got {self.arenas}")
+        sources = self.arenas - 1 if migration.topology == "all" else 1
+        slots, arriving = self.world.slots or 0, sources * migration.emigrants
+        if arriving >= slots:
+            raise ConfigError(
+                f"migration: expected fewer to arrive in an arena than there are robots ({slots}), "
+                f"got {arriving}"
+            )
+
     def _check_parts(self) -> None:
+        if self.migration is not None:
+            self._check_migration(self.migration)
         if self.arenas % self.world.together:
             raise ConfigError(
                 f"arenas: expected an even number, got {self.arenas}: populations that are each "
@@ -277,7 +300,13 @@ class RunConfig:
     def split(self, parts: int) -> list[RunConfig]:
         """The run as several runs, each with a part of its arenas."""
         borders = pairwise([*self.first_arenas(parts), self.arenas])
-        return [replace(self, arenas=end - first, seed=self.seed + first) for first, end in borders]
+        return [self._part(first, end) for first, end in borders]
+
+    def _part(self, first: int, end: int) -> RunConfig:
+        """Some of its arenas, which are not checked to be enough islands."""
+        part = copy.copy(self)
+        part.__dict__.update(arenas=end - first, seed=self.seed + first)
+        return part
 
     def changed(self, changes: Mapping[str, Any]) -> RunConfig:
         """A configuration with other values.
@@ -332,7 +361,7 @@ class RunConfig:
             ConfigError: Naming the field that is missing, of a wrong type or out of range.
         """
         try:
-            parts = {"until": None, **values}  # which 0.2.0 did not know
+            parts = {"until": None, "migration": None, **values}  # which 0.2.0 did not know
             for part, gone in (("population", "novelty"), ("learner", "genes")):
                 if (parts[part] or {}).get(gone):
                     raise ConfigError(f"{part}.{gone}: is no more; take version 0.2.0 for this run")

@@ -36,6 +36,8 @@ _HELP = """Train a population and write a run folder.
     that population alone; a round has 1,000 ticks (--env-kwargs round_ticks=N)
     --held-out TEAM ...: teams that no learner meets, by which progress is measured every
     10 rounds, on --task nero
+    --islands N: so many arenas of robots that exchange genomes, --migrate-every TICKS (2000),
+    --migrate-to ring, random or all, --emigrants N (1) of each, --emigrants-are best or random
     --field nero, battle, drill (a curriculum) or FILE.json: where, on --task nero
 
     neatq list says which tasks, arms, populations and learners there are. The rarest settings of

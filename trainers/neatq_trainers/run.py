@@ -111,6 +111,7 @@ class Run:
         metrics: Watches it.
         tick: Ticks so far.
         replacements: What evolution replaced last, of each arena.
+        migrations: How many times genomes have come from other arenas.
         disturbed: Whether somebody has changed the world between two strides, so that robots must
             look again.
     """
@@ -127,6 +128,7 @@ class Run:
     metrics: Metrics
     tick: int = 0
     replacements: list[list[Replacement]] = field(default_factory=list)
+    migrations: int = 0
     disturbed: bool = False
 
     @property
@@ -177,6 +179,8 @@ class Run:
         }
         if hasattr(self.world.env, "world_state"):
             state["world"] = self.world.env.world_state()
+        if self.config.migration is not None:
+            state["migrations"] = self.migrations
         if self.normalization is not None:
             state["normalization"] = self.normalization.state_dict()
         return state if self.teachers is None else state | {"teachers": self.teachers.state_dict()}

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from neatq_trainers.final_test import judge_champions
 from neatq_trainers.folder import CHECKPOINT, RunFolder, check_new, load_run
 from neatq_trainers.lock import RunFolderError, locked
 from neatq_trainers.loop import Stride
+from neatq_trainers.migration import arrivals, routes
 from neatq_trainers.names import file_name
 from neatq_trainers.rows import ReturnRow, Row
 from neatq_trainers.saved import best_score
@@ -59,6 +61,7 @@ class Session:
         wants_checkpoint: Set it to have a checkpoint written soon.
         paused: Set it to let the run stand; `idle` of the callbacks is called until it goes on.
         signals: Numbers of signals that are to end the training, as they come.
+        migrations: How many times arenas have exchanged genomes.
         wanted: Changes that somebody asks for; each is made, or refused, when the run can stop.
     """
 
@@ -71,12 +74,19 @@ class Session:
     wants_checkpoint: bool = False
     paused: bool = False
     signals: Sequence[int] = ()
+    migrations: int = 0
     wanted: deque[AnyChange] = field(default_factory=deque)
 
     @property
     def done(self) -> int:
         """How long the run is so far, in the unit of its length."""
         return self.lengths[self.config.length[0]]
+
+    @property
+    def next_migration(self) -> float:
+        """The tick at which arenas exchange genomes next; inf: never."""
+        migration = self.config.migration
+        return math.inf if migration is None else migration.every_ticks * (self.migrations + 1)
 
     @property
     def over(self) -> bool:
@@ -290,6 +300,7 @@ def _go_on(
             for worker in team:
                 worker.make(change)
         session = Session(config=config, folder=folder, facts=facts, lengths=state["done"])
+        session.migrations = states[0].get("migrations", 0)
         session.score = best_score(state) if config.until is not None else -math.inf
         _train(session, team, everybody)
     return folder
@@ -348,7 +359,8 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
             saving = session.stop or signals or (session.wants_checkpoint and unsaved)
             pausing = saving or session.paused or session.wanted
             soon = under_way * stride
-            due = session.lengths["ticks"] + soon >= session.folder.record.next_tick()
+            stop = min(session.folder.record.next_tick(), session.next_migration)
+            due = session.lengths["ticks"] + soon >= stop
             wanted = not session.over and not due and session.done + soon < total
             if wanted and not pausing and under_way < ahead:
                 for worker in workers:
@@ -357,7 +369,7 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
             elif under_way:
                 _take(session, [worker.finish() for worker in workers], callbacks)
                 under_way, unsaved = under_way - 1, True
-            elif _change(session, workers, callbacks):
+            elif _migrate(session, workers) or _change(session, workers, callbacks):
                 unsaved = True
             elif session.paused and not saving and not session.over:
                 for callback in callbacks:
@@ -375,6 +387,22 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
     judge_champions(session, [one for part in snapshots for one in part.champions])
     for callback in callbacks:
         callback.end(session)
+
+
+def _migrate(session: Session, workers: Sequence[Worker]) -> bool:
+    """Let arenas exchange genomes if it is time; whether it was."""
+    config, times = session.config, session.migrations
+    if session.over or session.lengths["ticks"] < session.next_migration:
+        return False
+    assert config.migration is not None
+    leaving = [own for worker in workers for own in worker.emigrants(times)]
+    ways = routes(config.migration, config.arenas, config.seed, times)
+    arriving = arrivals(leaving, ways)
+    borders = pairwise([*config.first_arenas(len(workers)), config.arenas])
+    for worker, (first, end) in zip(workers, borders, strict=True):
+        worker.immigrate(arriving[first:end])
+    session.migrations += 1
+    return True
 
 
 def _change(session: Session, workers: Sequence[Worker], callbacks: Sequence[Callback]) -> bool:

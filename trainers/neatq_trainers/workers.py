@@ -21,7 +21,9 @@ from neatq_trainers.callbacks import Callback
 from neatq_trainers.changes import AnyChange
 from neatq_trainers.compiling import CompilingTold
 from neatq_trainers.config import RunConfig
+from neatq_trainers.islands import emigrants, immigrate
 from neatq_trainers.loop import Stride, strides
+from neatq_trainers.migration import Travellers
 from neatq_trainers.run import Champion, State
 
 ARENAS_PER_WORKER = 4
@@ -85,6 +87,15 @@ class LocalWorker:
         """Make a change that was checked."""
         change.make(self._run)
 
+    def emigrants(self, times: int) -> Travellers:
+        """Who goes of each arena, see `islands`; no stride may be under way."""
+        assert self._run.config.migration is not None
+        return emigrants(self._run, self._run.config.migration, times)
+
+    def immigrate(self, arriving: Travellers) -> None:
+        """Let them arrive."""
+        immigrate(self._run, arriving)
+
     def snapshot(self) -> Snapshot:
         """The run as it stands; no stride may be under way."""
         run = self._run
@@ -124,6 +135,16 @@ class DistantWorker:
     def make(self, change: AnyChange) -> None:
         """Have a change made."""
         self._worker.ask("make", change)
+        self._worker.answer()
+
+    def emigrants(self, times: int) -> Travellers:
+        """Ask who goes."""
+        self._worker.ask("emigrants", times)
+        return self._worker.answer()
+
+    def immigrate(self, arriving: Travellers) -> None:
+        """Have them arrive."""
+        self._worker.ask("immigrate", arriving)
         self._worker.answer()
 
     def snapshot(self) -> Snapshot:
