@@ -20,6 +20,8 @@ _FOR_THE_ONE_THAT_ASKS = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 ]
 """Signals that a terminal or a scheduler sends to all processes of a run at once."""
+_END_SECONDS = 2.0
+"""Time in which a process that has nothing to do ends by itself."""
 _CAUSES = {
     "SIGSEGV": "a segmentation fault, of an environment or a library that it uses",
     "SIGBUS": "a bus error, of an environment or for want of memory",
@@ -51,11 +53,13 @@ class Remote:
         with _signals_blocked():
             self._process.start()
         far_end.close()
+        self._under_way = 0
         self._send((make, arguments))
 
     def ask(self, method: str, *arguments: Any) -> None:
         """Have a method called; several calls may be under way."""
         self._send((method, arguments))
+        self._under_way += 1
 
     def answer(self) -> Any:
         """What the earliest call under way returns or raises; `ProcessEnded` with no process."""
@@ -68,11 +72,14 @@ class Remote:
             ) from error
         if isinstance(answer, Exception):
             raise answer
+        self._under_way -= 1
         return answer
 
     def close(self) -> None:
-        """End the process."""
+        """End the process, at once if it is at work."""
         self.pipe.close()
+        if not self._under_way:
+            self._process.join(_END_SECONDS)
         self._process.kill()  # it has nothing to tidy up, and an environment may ignore SIGTERM
         self._process.join()
 

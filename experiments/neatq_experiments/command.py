@@ -14,6 +14,7 @@ from neatq_experiments import (
     double_pole,
     foraging,
     gymnasium_tasks,
+    islands,
     neat_q,
     nero_sliders,
     published,
@@ -33,6 +34,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     *neat_q.NEAT_Q,
     *foraging.FORAGING,
     nero_sliders.NERO_SLIDERS,
+    islands.ISLAND_STUDY,
     gymnasium_tasks.GYMNASIUM,
 )
 
