@@ -19,7 +19,7 @@ from neatq_trainers.arms import preset
 from neatq_trainers.folder import load_run
 
 ISLANDS, ROBOTS, EVERY_TICKS = 8, 50, 1000
-TICKS, QUICK_TICKS = 20_000, 2_000
+ISLAND_TICKS, QUICK_ISLAND_TICKS = 20_000, 2_000
 SEEDS_APART = 100
 """Seed s begins with arena 100 s: no two runs have an island in common."""
 WAYS: dict[str, dict[str, Any] | None] = {
@@ -27,8 +27,8 @@ WAYS: dict[str, dict[str, Any] | None] = {
     "apart": None,
 }
 """How the islands of an arm exchange genomes; the arm `one` has no islands."""
-TASKS = ("maze", "trap")
-ISLAND_ARMS = tuple(f"{task}-{arm}" for task in TASKS for arm in (*WAYS, "one"))
+DECEPTIVE_TASKS = ("maze", "trap")
+ISLAND_ARMS = tuple(f"{task}-{arm}" for task in DECEPTIVE_TASKS for arm in (*WAYS, "one"))
 
 
 def run_islands(task: SeedTask) -> list[Result]:
@@ -36,7 +36,7 @@ def run_islands(task: SeedTask) -> list[Result]:
     world, arm = task.arm.split("-")
     islands = ISLANDS if arm in WAYS else 1
     size = {"robots": ROBOTS * ISLANDS // islands}
-    length = {"ticks": QUICK_TICKS if task.quick else TICKS}
+    length = {"ticks": QUICK_ISLAND_TICKS if task.quick else ISLAND_TICKS}
     changes = {"arenas": islands, "migration": WAYS.get(arm)}
     (seed,) = task.seeds
     config = preset(world, "rtneat", env_kwargs=size, length=length)
@@ -88,7 +88,7 @@ def draw_islands(results: Results) -> Figure:
     figure = Figure(figsize=(8, 3.4), layout="constrained")
     rng = np.random.default_rng(0)
     arms = (*WAYS, "one")
-    for axes, task in zip(figure.subplots(1, len(TASKS)), TASKS, strict=True):
+    for axes, task in zip(figure.subplots(1, len(DECEPTIVE_TASKS)), DECEPTIVE_TASKS, strict=True):
         for at, arm in enumerate(arms):
             values = column(results.get(f"{task}-{arm}", []), "team")
             if values.size:

@@ -1,0 +1,134 @@
+"""What Ray costs beside processes of this machine, and what a driver can feed.
+
+- a task that does nothing, in a pool of two hands (`neatq_envs.pool`): one on Ray beside one in
+  processes, wall time for each of 100, hands begun before;
+- a message to an object elsewhere and back;
+- a step of environments that take 100 ms each (`benchmarks.sleeping`), ten to each of 64 actors,
+  beside the second that ten of them take: what is on top is the driver's work. They sleep, so two
+  cores are enough;
+- a step of environments that cost nothing, ten to each of 64 actors: 640 rows in that time are all
+  that a driver feeds. From this the note says at how many cores it is saturated.
+
+All on a cluster that is begun on this machine; the wall time of other work is in it. Needs the
+extra `ray`.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.measure import in_rounds
+from benchmarks.result import Goal, Line, compare
+from neatq_envs.gymnasium_rows import make_rows
+from neatq_envs.gymnasium_task import GymnasiumTask
+from neatq_envs.machines import Crew, Distant, Machines, ThisMachine, open_machines
+from neatq_envs.pool import Pool
+
+ACTORS, ROWS_EACH, STEP_SECONDS = 64, 10, 0.1
+TASKS, HANDS, MESSAGES = 100, 2, 200
+SATURATED = (0.001, 0.01, 0.1)
+"""Seconds of a step for which the note says how many cores a driver feeds."""
+
+
+class Nothing:
+    """Does nothing, elsewhere."""
+
+    def __call__(self, task: int) -> int:
+        return task
+
+
+def run(quick: bool) -> list[Line]:
+    """Measure tasks, messages and steps."""
+    rounds, actors = (1, 4) if quick else (3, ACTORS)
+    os.environ["PYTHONPATH"] = str(Path(__file__).resolve().parents[1])  # actors import this
+    with open_machines("local") as cluster:
+        both: dict[str, Machines] = {"Ray": cluster, "processes": ThisMachine()}
+        tasks = in_rounds({name: _task_seconds(one) for name, one in both.items()}, rounds=rounds)
+        calls = in_rounds({name: _call_seconds(one) for name, one in both.items()}, rounds=rounds)
+        crew = Crew(actors, cluster)
+        with _rows(crew, STEP_SECONDS) as step:
+            slow = in_rounds({"step": lambda: step(5)}, rounds=rounds)["step"]
+        with _rows(crew, 0.0) as step:
+            free = in_rounds({"step": lambda: step(50)}, rounds=rounds)["step"]
+    ideal = np.full(rounds, ROWS_EACH * STEP_SECONDS)
+    fed = actors * ROWS_EACH / float(np.median(free))
+    cores = ", ".join(f"{fed * one:,.0f} cores at {1000 * one:g} ms" for one in SATURATED)
+    near = Goal(text="at least 95 % of ideal", limit=1 / 0.95, of="ratio")
+    rows = f"{actors} actors, {ROWS_EACH} environments each"
+    return [
+        compare("a task", tasks["Ray"] * 1e3, "processes", tasks["processes"] * 1e3, unit="ms"),
+        compare("a message", calls["Ray"] * 1e6, "processes", calls["processes"] * 1e6, unit="us"),
+        compare(
+            f"a step of 100 ms: {rows}", slow * 1e3, "ideal", ideal * 1e3, unit="ms", goal=near
+        ),
+        compare(
+            f"a step that costs nothing: {rows}",
+            free * 1e3,
+            unit="ms",
+            note=f"{fed:,.0f} environment steps/s; a driver is saturated by {cores} a step.",
+        ),
+    ]
+
+
+def _task_seconds(machines: Machines) -> Callable[[], float]:
+    """What measures a task of a pool whose hands have begun."""
+
+    def measure() -> float:
+        pool = Pool(machines, (Nothing,), range(1, TASKS + HANDS + 1), HANDS)
+        over, began = 0, time.perf_counter()
+        while over < TASKS + HANDS:
+            over += len(pool.work(1.0))
+            if over < HANDS:
+                began = time.perf_counter()
+        seconds = time.perf_counter() - began
+        pool.close()
+        return seconds / TASKS
+
+    return measure
+
+
+def _call_seconds(machines: Machines) -> Callable[[], float]:
+    """What measures a message to an object that has begun."""
+
+    def call(one: Distant) -> None:
+        one.ask("__call__", 1)
+        one.answer()
+
+    def measure() -> float:
+        (one,) = Crew(1, machines).open(Nothing)
+        call(one)
+        began = time.perf_counter()
+        for _ in range(MESSAGES):
+            call(one)
+        seconds = time.perf_counter() - began
+        one.close()
+        return seconds / MESSAGES
+
+    return measure
+
+
+@contextmanager
+def _rows(crew: Crew, seconds: float) -> Any:
+    """What measures so many steps of environments that are dealt to a crew; seconds of one."""
+    task = GymnasiumTask(id="benchmarks.sleeping:Sleeping-v0", kwargs={"seconds": seconds})
+    rows, _ = make_rows(task, crew=crew)
+    count = crew.size * ROWS_EACH
+    mask, actions = np.ones(count, bool), np.zeros((count, 2), np.float32)
+    rows.reset(mask, np.arange(count))
+
+    def step(steps: int) -> float:
+        began = time.perf_counter()
+        for _ in range(steps):
+            rows.step(mask, actions)
+        return (time.perf_counter() - began) / steps
+
+    yield step
+    with suppress(AttributeError):
+        rows.close()
