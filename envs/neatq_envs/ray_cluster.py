@@ -11,6 +11,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -183,9 +184,20 @@ def _surroundings() -> dict[str, Any]:
     return {"env_vars": {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, folders))}}
 
 
+def _noted_address() -> str:
+    """What `ray start` has noted on this machine, be it gone since; "" without a note."""
+    folder = os.environ.get("RAY_TMPDIR", "/tmp")
+    try:
+        return Path(folder, "ray", "ray_current_cluster").read_text(encoding="utf-8").strip()
+    except OSError:
+        return ""
+
+
 def _check_address(address: str) -> None:
     """Refuse an address at which nobody listens, for which Ray itself would wait for minutes."""
-    if address in ("auto", "local"):
+    if address == "auto":
+        address = os.environ.get("RAY_ADDRESS") or _noted_address() or "local"
+    if address == "local":
         return
     parts = urlsplit(address if "://" in address else f"//{address}")
     host, port = None, 0

@@ -114,7 +114,7 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
     changes: Path | str | None = None,
     callbacks: Sequence[Callback] = (),
 ) -> RunFolder:
-    """Train a population and write a run folder.
+    """Train a population and write a run folder; returns the run.
 
     Args:
         task: A built-in task ("wall"), a scenario's path, "gym:ID", or a registered world's name.
@@ -138,10 +138,10 @@ def train(  # noqa: PLR0913  (each is a setting of a run)
     Raises:
         ConfigError: If the run cannot be made as asked, or the folder is in use.
         TaskError: If the environment cannot be used.
-        EpisodeError: If an environment fails; `resume` goes on, as after the next.
+        EpisodeError: If an environment fails; `resume` goes on, as after the next two.
         ProcessEnded: If a worker dies; on a cluster again and again.
         ClusterError: If there is none.
-        KeyboardInterrupt, SystemExit: After Ctrl-C; after SIGTERM.
+        KeyboardInterrupt, SystemExit: After Ctrl-C; after SIGTERM or SIGHUP.
 
     Example:
         >>> run = train("gym:CartPole-v1", arm="neat", generations=10)
