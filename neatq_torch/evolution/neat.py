@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, Literal
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from neatq_torch.evolution.parsimony import enabled_links, front_ranks, lowest_good
 from neatq_torch.evolution.population import Generational, Replacement, Start
-from neatq_torch.evolution.reproduction import NEAT_2002, ReproductionConfig
+from neatq_torch.evolution.reproduction import NEAT_2002, Child, ReproductionConfig, litters
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
 from neatq_torch.evolution.trials import checked
 from neatq_torch.genome import Genome
@@ -22,9 +23,6 @@ from neatq_torch.kinds import check_fields
 
 Numbering = Literal["generation", "run"]
 Representative = Literal["champion", "random"]
-
-Child = tuple[Genome, tuple[int, ...]]
-"""A genome of the next generation, and the ids of its parents."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,9 +144,7 @@ class NEAT(Generational):
         champions = fitness[[species.members[0] for species in self.species]]
         self._note(np.array([self._reached(one.members, earned) for one in self.species]))
         counts = self._offspring_counts(shared_fitness(fitness, self.species), champions)
-        children: list[Child] = []
-        for species, count in zip(self.species, counts.tolist(), strict=True):
-            children += self._children(species, count, fitness)
+        children = self._children(counts, fitness)
         removed = self.genomes
         self._settle([genome for genome, _ in children])
         slots = enumerate(zip(children, removed, strict=True))
@@ -188,30 +184,24 @@ class NEAT(Generational):
                 self.records[one][2] = self.generation
         return offspring_counts(shares, len(self.genomes))
 
-    def _children(self, species: Species, count: int, fitness: NDArray[np.float64]) -> list[Child]:
-        """What comes from a ranked species: its champion, if it is large, and offspring."""
+    def _children(self, counts: NDArray[np.int64], fitness: NDArray[np.float64]) -> list[Child]:
+        """As many as `counts` [species] says: of large species the champion, then offspring."""
+        ranked = [one.members for one in self.species]
+        large = np.array([some.size > self.config.elite_members for some in ranked])
+        births = np.maximum(counts - large, 0)
+        pools = [breeders(some, self.config.survival_share) for some in ranked]
+        genomes = [[self.genomes[slot] for slot in pool] for pool in pools]
+        home, fit = np.repeat(np.arange(births.size), births), fitness[np.concatenate(pools)]
+        means = self.reproduction, self.ledger, self.rng
+        born = litters(genomes, fit, home, *means, self.next_genome_id)
         children: list[Child] = []
-        if count and species.members.size > self.config.elite_members:
-            champion = self.genomes[species.members[0]]
-            children.append((champion, (champion.genome_id,)))
-        pool = breeders(species.members, self.config.survival_share)
-        while len(children) < count:
-            children.append(self._child(species, pool, fitness))
+        for pool, count, births_of_it in zip(genomes, counts, births, strict=True):
+            if count > births_of_it:
+                children.append((pool[0], (pool[0].genome_id,)))
+            children += islice(born, int(births_of_it))
+        self.next_genome_id += home.size
+        self.births += home.size
         return children
-
-    def _child(self, home: Species, pool: NDArray[np.int64], fitness: NDArray[np.float64]) -> Child:
-        reproduction = self.config.reproduction
-        slots = [int(pool[self.rng.integers(pool.size)])]
-        outside = False
-        if pool.size > 1 and self.rng.random() >= reproduction.mutate_only_prob:
-            others = [one for one in self.species if one is not home]
-            outside = bool(others) and self.rng.random() < reproduction.interspecies_mate_prob
-            if outside:
-                mate = others[self.rng.integers(len(others))].members[0]
-            else:
-                mate = pool[self.rng.integers(pool.size)]
-            slots.append(int(mate))
-        return self.breed(slots, fitness, interspecies=outside)
 
     def _settle(self, genomes: list[Genome]) -> None:
         """Make genomes the next generation and sort them into the species, which are ranked."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -74,5 +75,10 @@ def shrinking(reproduction: ReproductionConfig) -> ReproductionConfig:
     """The same with a mutation that removes links, unless its probability is given."""
     if reproduction.mutation.remove_link_prob is not None:
         return reproduction
+    return _shrinking(reproduction)
+
+
+@lru_cache
+def _shrinking(reproduction: ReproductionConfig) -> ReproductionConfig:
     mutation = replace(reproduction.mutation, remove_link_prob=0.1)
     return replace(reproduction, mutation=mutation)

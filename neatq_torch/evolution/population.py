@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neatq_torch.evolution.parsimony import enabled_links, good_ranks, shrinking
-from neatq_torch.evolution.reproduction import NEAT_2002, Parent, offspring
+from neatq_torch.evolution.reproduction import NEAT_2002, Parent, ReproductionConfig, offspring
 from neatq_torch.evolution.species import Species
 from neatq_torch.evolution.trials import Kept, checked, weighted
 from neatq_torch.genome import (
@@ -290,15 +290,18 @@ class Population(Kept, ABC):
     def begin(self) -> None:
         """Make what a kind of population needs beside its founders; draws no chance."""
 
+    @property
+    def reproduction(self) -> ReproductionConfig:
+        """How offspring come about: with parsimony `shrinking`."""
+        own = self.config.reproduction
+        return own if getattr(self.config, "parsimony", None) is None else shrinking(own)
+
     def breed(
         self, slots: Sequence[int], fitness: NDArray[np.float64], *, interspecies: bool
     ) -> tuple[Genome, tuple[int, ...]]:
         """An offspring of the genomes in one or two slots, and their ids, the fitter one first."""
         parents = tuple(Parent(self.genomes[slot], float(fitness[slot])) for slot in slots)
-        reproduction = self.config.reproduction
-        if getattr(self.config, "parsimony", None) is not None:
-            reproduction = shrinking(reproduction)
-        means = reproduction, self.ledger, self.rng
+        means = self.reproduction, self.ledger, self.rng
         number = self.next_genome_id
         genome = offspring(parents, *means, genome_id=number, interspecies=interspecies)
         self.next_genome_id += 1

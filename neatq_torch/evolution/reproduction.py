@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,12 +17,29 @@ from neatq_torch.genome import (
     Genome,
     InnovationLedger,
     MutationConfig,
-    compatibility,
     first_is_fitter,
-    multipoint,
-    mutate,
 )
+from neatq_torch.genome.crossover import Indices, check_mates, copied, crossed, with_genes
+from neatq_torch.genome.distance import links_apart
+from neatq_torch.genome.genome import Genes
+from neatq_torch.genome.mutation import (
+    NO_MUTATION,
+    Mutation,
+    draw_mutation,
+    restructured,
+)
+from neatq_torch.genome.rules import check_weights
+from neatq_torch.jit import cached_njit
 from neatq_torch.kinds import check_fields
+
+Means = tuple[Any, ...]
+"""A `ReproductionConfig` for compiled code."""
+
+Child = tuple[Genome, tuple[int, ...]]
+"""A genome, and the ids of its parents, that of the fitter one first."""
+
+BATCH = 64
+"""Births after which compiled code hands over what it has, lest it need a lot of memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +66,15 @@ class ReproductionConfig:
 
     def __post_init__(self) -> None:
         check_fields(self, **{name: "[0, 1]" for name in vars(self) if name.endswith("_prob")})
+
+    @cached_property
+    def means(self) -> Means:
+        """What compiled code reads."""
+        shares = self.mutate_only_prob, self.interspecies_mate_prob
+        mating = float(self.multipoint_prob), float(self.mate_only_prob)
+        crossing = self.crossover.keep_all_genes, self.crossover.shares
+        rates = self.distance.coefficients, self.mutation.rates
+        return tuple(map(float, shares)), (*mating, *crossing, *rates)
 
 
 OPENNERO = ReproductionConfig(crossover=CrossoverConfig(copy_disabled=True))
@@ -96,20 +123,61 @@ def offspring(
     Two parents that are the same, by number or by distance 0, always have a mutated child. Parents
     of different species (`interspecies`) pass on all their genes.
     """
-    if len(parents) == 1:
-        child = mutate(parents[0].genome, config.mutation, ledger, rng)
-        return child.unchecked(genome_id=genome_id)
-    first, second = parents
-    genomes = first.genome, second.genome
-    average = rng.random() >= config.multipoint_prob
-    genes = replace(config.crossover, keep_all_genes=True) if interspecies else config.crossover
-    fitter = first_is_fitter(*genomes, first.fitness, second.fitness)
-    child = multipoint(*genomes, fitter, genes, rng, average=average)
-    mated_only = rng.random() < config.mate_only_prob
-    same = first.genome.genome_id == second.genome.genome_id
-    if not mated_only or same or compatibility(*genomes, config.distance) == 0.0:
-        child = mutate(child, config.mutation, ledger, rng)
-    return child.unchecked(genome_id=genome_id)
+    first, second = parents[0], parents[-1]
+    genomes, two = (first.genome, second.genome), len(parents) == 2
+    if two:
+        check_mates(*genomes)
+    fitter = not two or first_is_fitter(*genomes, first.fitness, second.fitness)
+    kinship = two, fitter, interspecies, first.genome.genome_id == second.genome.genome_id
+    couple = first.genome.genes, second.genome.genes
+    *made, mutation = _conceived(rng, *couple, kinship, config.means[1])
+    child = with_genes(*(genomes if fitter else genomes[::-1]), genome_id, *made)
+    check_weights(child.link_innovation, child.link_weight)
+    return restructured(child, mutation, config.mutation, ledger)
+
+
+@cached_njit()
+def _conceived(
+    rng: np.random.Generator,
+    first: Genes,
+    second: Genes,
+    kinship: tuple[bool, bool, bool, bool],
+    means: Means,
+) -> tuple[Genes, Indices, bool, Mutation]:
+    """Return what `crossed` makes of parents, with mutated weights; a structural mutation of it.
+
+    Kinship: whether there are two parents; whether the first is the fitter one (as one alone is);
+    whether they are of different species; whether they have the same number.
+    """
+    two, fitter, interspecies, same = kinship
+    multipoint_prob, mate_only_prob, keep_all_genes, shares, coefficients, rates = means
+    child, new, joined = first, np.empty(0, np.int64), False
+    if not two:
+        child = copied(first)
+        return child, new, joined, draw_mutation(rng, child, rates)
+    average = rng.random() >= multipoint_prob
+    keep = keep_all_genes or interspecies
+    child, new, joined = crossed(rng, first, second, fitter, average, keep, shares)
+    if rng.random() < mate_only_prob and not same:
+        genes = first.innovation, first.weight, second.innovation, second.weight
+        if links_apart(*genes, coefficients, np.inf) != 0.0:
+            return child, new, joined, NO_MUTATION
+    return child, new, joined, draw_mutation(rng, child, rates)
+
+
+class Herd(NamedTuple):
+    """Those who breed in a generation, one species behind the other, for compiled code.
+
+    `links` and `nodes`, int64 [genomes + 1], tell where those of each genome begin and end in
+    `genes`; `homes`, int64 [species + 1], where each species begins and ends.
+    """
+
+    genes: Genes
+    links: Indices
+    nodes: Indices
+    genome_id: Indices
+    fitness: NDArray[np.float64]
+    homes: Indices
 
 
 def roulette(shares: ArrayLike, rng: np.random.Generator) -> int:
@@ -173,3 +241,122 @@ def choose_breeders(
         return (first,), False
     pool = breeders[np.isin(breeders, home.members)]
     return (first,) if pool.size == 1 else (first, int(rng.choice(pool))), False
+
+
+def litters(
+    pools: Sequence[Sequence[Genome]],
+    fitness: NDArray[np.float64],
+    home: NDArray[np.int64],
+    config: ReproductionConfig,
+    ledger: InnovationLedger,
+    rng: np.random.Generator,
+    next_genome_id: int,
+) -> Iterator[Child]:
+    """The offspring of a generation, one after the other, each as `offspring` makes it.
+
+    A parent, and a mate of its species, are drawn with equal chance; a mate from outside is the
+    first of another species. The only candidate of a species breeds alone.
+
+    Args:
+        pools: Those of each species who breed, the fittest first.
+        fitness: Of all of them [genomes], one species behind the other.
+        home: Species that each child is of [children].
+        config: How offspring come about.
+        ledger: Historical markings.
+        rng: The source of chance.
+        next_genome_id: Number of the first child.
+    """
+    genomes = [genome for pool in pools for genome in pool]
+    for genome in genomes:
+        check_mates(genomes[0], genome)
+    sizes = [(one.link_weight.size, one.node_id.size, one.genome_id) for one in genomes]
+    links, nodes, numbers = np.array(sizes, np.int64).T
+    columns = zip(*(one.genes for one in genomes), strict=True)
+    homes = _bounds([len(pool) for pool in pools])
+    genes = Genes(*(np.concatenate(column) for column in columns))
+    herd = Herd(genes, _bounds(links), _bounds(nodes), numbers.copy(), fitness, homes)
+    done = 0
+    while done < home.size:
+        batch = home[done : done + BATCH]
+        weight, enabled, parents, mutations, *joined = _born(rng, herd, batch, config.means)
+        for row, (base, other, *ids) in enumerate(parents.tolist()):
+            done, fitter, size = done + 1, genomes[base], links[base]
+            if joined[-1] and row + 1 == len(parents):
+                child = with_genes(fitter, genomes[other], next_genome_id, *joined)
+            else:
+                own = weight[row, :size].copy(), enabled[row, :size].copy()
+                child = fitter.unchecked(
+                    genome_id=next_genome_id, link_weight=own[0], link_enabled=own[1]
+                )
+            check_weights(child.link_innovation, child.link_weight)
+            child = restructured(child, mutations[row], config.mutation, ledger)
+            yield child, tuple(genomes[one].genome_id for one in ids if one >= 0)
+            next_genome_id += 1
+
+
+def _bounds(sizes: ArrayLike) -> NDArray[np.int64]:
+    """Where parts of these sizes begin and end, one behind the other."""
+    return np.concatenate(([0], np.cumsum(sizes)))
+
+
+@cached_njit()
+def _born(
+    rng: np.random.Generator,
+    herd: Herd,
+    home: NDArray[np.int64],
+    means: Means,
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], Indices, Any, Genes, Indices, bool]:
+    """Let children [children] be born until one has genes that its fitter parent does not have.
+
+    Args:
+        rng: The source of chance.
+        herd: The genomes.
+        home: Species that each child is of [children].
+        means: How they come about.
+
+    Returns:
+        Of those that are born weights and `enabled`, each a padded row; who passes on its genes,
+        the other parent, the fitter one and the less fit one, -1 for none; a `Mutation`; and what
+        `crossed` says of the last one.
+    """
+    width = (herd.links[1:] - herd.links[:-1]).max()
+    weight = np.empty((home.size, width), np.float32)
+    enabled = np.empty((home.size, width), np.bool_)
+    parents, mutations = np.empty((home.size, 4), np.int64), np.empty((home.size, 4))
+    (mutate_only_prob, interspecies_prob), conception = means
+    bounds, fitness, species = herd.homes, herd.fitness, herd.homes.size - 1
+    genes, new, joined, child = copied(_genes_at(herd, 0)), np.empty(0, np.int64), False, -1
+    while child + 1 < home.size and not joined:
+        child += 1
+        low, high = bounds[home[child]], bounds[home[child] + 1]
+        first = second = low + rng.integers(0, high - low)
+        two, outside = high - low > 1 and rng.random() >= mutate_only_prob, False
+        if two:
+            outside = species > 1 and rng.random() < interspecies_prob
+            if outside:
+                other = rng.integers(0, species - 1)
+                second = bounds[other + (other >= home[child])]
+            else:
+                second = low + rng.integers(0, high - low)
+        own, others = _genes_at(herd, first), _genes_at(herd, second)
+        fitter = not two or fitness[first] > fitness[second]
+        fitter |= fitness[first] == fitness[second] and own.weight.size < others.weight.size
+        kinship = two, fitter, outside, herd.genome_id[first] == herd.genome_id[second]
+        genes, new, joined, mutation = _conceived(rng, own, others, kinship, conception)
+        base, other = (first, second) if fitter else (second, first)
+        one, another = (first, second) if fitness[first] >= fitness[second] else (second, first)
+        parents[child] = base, other, one, another if two else -1
+        mutations[child] = mutation
+        if not joined:
+            weight[child, : genes.weight.size] = genes.weight
+            enabled[child, : genes.weight.size] = genes.enabled
+    return weight, enabled, parents[: child + 1], mutations, genes, new, joined
+
+
+@cached_njit()
+def _genes_at(herd: Herd, genome: int) -> Genes:
+    genes, first, last = herd.genes, herd.links[genome], herd.links[genome + 1]
+    links = genes.innovation[first:last], genes.weight[first:last], genes.enabled[first:last]
+    ends = genes.recurrent[first:last], genes.source[first:last], genes.target[first:last]
+    first, last = herd.nodes[genome], herd.nodes[genome + 1]
+    return Genes(*links, *ends, genes.node_id[first:last], genes.kind[first:last])

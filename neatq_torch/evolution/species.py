@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, compress, repeat
+from operator import is_not
 from typing import Any
 
 import numpy as np
@@ -64,7 +66,7 @@ class Speciation(Kept):
         self.founded = 0
         self.offspring = 0
         self._links = LinkTable()
-        self._written: dict[int, Genome] = {}
+        self._written: list[Genome] = []
 
     def sizes(self, slots: int) -> NDArray[np.int64]:
         """How many members the species of each slot has, int64 [slots]."""
@@ -103,8 +105,9 @@ class Speciation(Kept):
             return
         self.move_threshold()
         groups, order = [one.members for one in self.species], np.asarray(order, dtype=np.int64)
-        slots = [one for one in order.tolist() if self._written.get(one) is not genomes[one]]
-        self._written |= {slot: genomes[slot] for slot in slots}
+        others = map(is_not, genomes, chain(self._written, repeat(None)))
+        slots = list(compress(range(len(genomes)), others))
+        self._written = list(genomes)
         self._links.write(slots, [genomes[slot] for slot in slots])
         self._sort(self._links.regroup(groups, order, self.threshold, self.distance))
 

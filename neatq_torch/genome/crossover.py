@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from neatq_torch.genome.genome import Genome
+from neatq_torch.genome.genome import Genes, Genome
 from neatq_torch.genome.graph import node_levels
-from neatq_torch.genome.rules import LINK_FIELDS, NODE_FIELDS, GenomeError
+from neatq_torch.genome.rules import GenomeError
 from neatq_torch.jit import cached_njit
 from neatq_torch.kinds import check_fields
+
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +36,11 @@ class CrossoverConfig:
 
     def __post_init__(self) -> None:
         check_fields(self, inherit_disabled_prob="[0, 1]")
+
+    @property
+    def shares(self) -> tuple[float, bool]:
+        """What compiled code reads beside `keep_all_genes`."""
+        return float(self.inherit_disabled_prob), self.copy_disabled
 
 
 def first_is_fitter(
@@ -58,36 +65,90 @@ def multipoint(
 
     With `average`, the weights of matching genes are the mean of the parents' instead.
     """
+    check_mates(first, second)
+    crossing = rng, first.genes, second.genes, first_fitter, average, config.keep_all_genes
+    fitter, other = (first, second) if first_fitter else (second, first)
+    return with_genes(fitter, other, first.genome_id, *crossed(*crossing, config.shares))
+
+
+def check_mates(first: Genome, second: Genome) -> None:
+    """Raise a GenomeError unless both have the same inputs and outputs and sense the same."""
     same_world = first.observation_schema == second.observation_schema
     if not same_world or first.interface != second.interface:
         raise GenomeError(
             f"genomes {first.genome_id} and {second.genome_id} differ in their observation "
             "schema, input, bias or output nodes; only genomes with the same ones can mate."
         )
-    parents = first, second
-    matched = matching(first.link_innovation, second.link_innovation)
-    weights = [one.link_weight[at] for one, at in zip(parents, matched, strict=True)]
-    switches = [one.link_enabled[at] for one, at in zip(parents, matched, strict=True)]
-    matches = matched[0].size
-    from_second = np.zeros(matches, bool) if average else rng.random(matches) < 0.5
-    spared = rng.random(matches) >= config.inherit_disabled_prob
-    on = (switches[0] & switches[1]) | spared
-    if average:
-        # Halves are added, as the sum of two large float32 weights could overflow.
-        inherited = weights[0] / 2 + weights[1] / 2
-    else:
-        inherited = np.where(from_second, weights[1], weights[0])
-        if config.copy_disabled:
-            on &= np.where(from_second, switches[1], switches[0])
-    fitter, other = (0, 1) if first_fitter else (1, 0)
-    weight, enabled = parents[fitter].link_weight.copy(), parents[fitter].link_enabled.copy()
-    weight[matched[fitter]], enabled[matched[fitter]] = inherited, on
-    child = parents[fitter].unchecked(
-        genome_id=first.genome_id, link_weight=weight, link_enabled=enabled
+
+
+def with_genes(
+    fitter: Genome, other: Genome, genome_id: int, genes: Genes, new: Indices, joined: bool
+) -> Genome:
+    """Return the genome of the fitter parent with what `crossed` made of it and the other one."""
+    own = {"genome_id": genome_id, "link_weight": genes.weight, "link_enabled": genes.enabled}
+    if not joined:
+        return fitter.unchecked(**own)
+    nodes = {"node_id": genes.node_id, "node_kind": genes.kind}
+    activation = np.concatenate((fitter.node_activation, other.node_activation[new]))
+    return fitter.unchecked(
+        **own,
+        **(nodes | {"node_activation": activation} if new.size else {}),
+        link_innovation=genes.innovation,
+        link_source=genes.node_id[genes.source],
+        link_target=genes.node_id[genes.target],
+        link_recurrent=genes.recurrent,
+        source_index=genes.source,
+        target_index=genes.target,
     )
-    if not config.keep_all_genes or matches == parents[other].link_innovation.size:
-        return child
-    return _with_extra_genes(child, parents[other]) or child
+
+
+@cached_njit()
+def copied(genes: Genes) -> Genes:
+    """Return the same genes, to be written to."""
+    ends = genes.source.copy(), genes.target.copy()
+    links = genes.innovation.copy(), genes.weight.copy(), genes.enabled.copy()
+    return Genes(*links, genes.recurrent.copy(), *ends, genes.node_id.copy(), genes.kind.copy())
+
+
+@cached_njit()
+def crossed(
+    rng: np.random.Generator,
+    first: Genes,
+    second: Genes,
+    first_fitter: bool,
+    average: bool,
+    keep_all_genes: bool,
+    shares: tuple[float, bool],
+) -> tuple[Genes, Indices, bool]:
+    """Return a child's genes; which nodes of the less fit parent are new in them; whether any are.
+
+    Without genes of the less fit parent alone (the last is False) only weights and `enabled` are
+    other than those of the fitter one. `shares` are those of `CrossoverConfig`.
+    """
+    disabled_prob, copy_disabled = shares
+    own, other = (first, second) if first_fitter else (second, first)
+    in_first, in_second = matching(first.innovation, second.innovation)
+    matches = in_first.size
+    choice = rng.random(0 if average else matches)
+    spared = rng.random(matches)
+    child = copied(own)
+    for match in range(matches):
+        a, b = in_first[match], in_second[match]
+        on = (first.enabled[a] and second.enabled[b]) or spared[match] >= disabled_prob
+        if average:
+            # Halves are added, as the sum of two large float32 weights could overflow.
+            half = np.float32(0.5)
+            inherited = first.weight[a] * half + second.weight[b] * half
+        else:
+            from_second = choice[match] < 0.5
+            inherited = second.weight[b] if from_second else first.weight[a]
+            if copy_disabled:
+                on = on and (second.enabled[b] if from_second else first.enabled[a])
+        at = a if first_fitter else b
+        child.weight[at], child.enabled[at] = inherited, on
+    if keep_all_genes and matches < other.innovation.size:
+        return _with_extra_genes(child, other)
+    return child, np.empty(0, np.int64), False
 
 
 @cached_njit()
@@ -108,36 +169,46 @@ def matching(
     return in_first[:matches], in_second[:matches]
 
 
-def _with_extra_genes(child: Genome, other: Genome) -> Genome | None:
-    """Return the child with another genome's extra genes too; None if that makes a cycle."""
-    joined = child.node_index(other.node_id)
-    new = np.flatnonzero(child.node_id[joined] != other.node_id)
-    joined[new] = child.node_id.size + np.arange(new.size)
-    source = np.concatenate((child.source_index, joined[other.source_index]))
-    target = np.concatenate((child.target_index, joined[other.target_index]))
-    links = {
-        name: np.concatenate((getattr(child, name), getattr(other, name))) for name in LINK_FIELDS
-    }
-    innovation, recurrent = links["link_innovation"], links["link_recurrent"]
-    kept = _without_rivals(innovation, source, target, recurrent, child.link_weight.size)
-    kept = kept[innovation[kept].argsort()]
-    source, target, forward = source[kept], target[kept], ~recurrent[kept]
-    nodes = child.node_id.size + new.size
-    if node_levels(source[forward], target[forward], nodes) is None:
-        return None
-    used = np.zeros(nodes, dtype=bool)
-    used[source] = used[target] = used[: child.node_id.size] = True
-    index, new = used.cumsum() - 1, new[used[child.node_id.size :]]
-    node_columns = {
-        name: np.concatenate((getattr(child, name), getattr(other, name)[new]))
-        for name in (NODE_FIELDS if new.size else ())
-    }
-    return child.unchecked(
-        **{name: column[kept] for name, column in links.items()},
-        **node_columns,
-        source_index=index[source],
-        target_index=index[target],
+@cached_njit()
+def _with_extra_genes(child: Genes, other: Genes) -> tuple[Genes, Indices, bool]:
+    """Return a child with another genome's extra genes too, unless that makes a cycle."""
+    own, nodes = child.node_id.size, child.node_id.size
+    joined, new = np.empty(other.node_id.size, np.int64), np.empty(other.node_id.size, np.int64)
+    for node in range(other.node_id.size):
+        at = node  # mostly
+        if node >= own or child.node_id[node] != other.node_id[node]:
+            at = 0
+            while at < own and child.node_id[at] != other.node_id[node]:
+                at += 1
+        if at == own:
+            new[nodes - own], at = node, nodes
+            nodes += 1
+        joined[node] = at
+    innovation = np.concatenate((child.innovation, other.innovation))
+    recurrent = np.concatenate((child.recurrent, other.recurrent))
+    source = np.concatenate((child.source, joined[other.source]))
+    target = np.concatenate((child.target, joined[other.target]))
+    kept = _without_rivals(innovation, source, target, recurrent, child.weight.size)
+    kept = kept[np.argsort(innovation[kept])]
+    source, target, recurrent = source[kept], target[kept], recurrent[kept]
+    if node_levels(source[~recurrent], target[~recurrent], nodes) is None:
+        return child, np.empty(0, np.int64), False
+    used = np.zeros(nodes, np.int64)
+    used[:own] = 1
+    for link in range(kept.size):
+        used[source[link]] = used[target[link]] = 1
+    index, new = np.cumsum(used) - 1, new[: nodes - own][used[own:] > 0]
+    genes = Genes(
+        innovation[kept],
+        np.concatenate((child.weight, other.weight))[kept],
+        np.concatenate((child.enabled, other.enabled))[kept],
+        recurrent,
+        index[source],
+        index[target],
+        np.concatenate((child.node_id, other.node_id[new])),
+        np.concatenate((child.kind, other.kind[new])),
     )
+    return genes, new, True
 
 
 @cached_njit()

@@ -53,7 +53,7 @@ def compatibility(a: Genome, b: Genome, config: DistanceConfig) -> float:
     A gene is excess if it lies beyond the last gene of the other genome, else disjoint.
     """
     first, second = (a.link_innovation, a.link_weight), (b.link_innovation, b.link_weight)
-    return _distance(*first, *second, config.coefficients, np.inf)
+    return links_apart(*first, *second, config.coefficients, np.inf)
 
 
 def first_compatible(
@@ -68,9 +68,10 @@ def first_compatible(
     represents a new group, numbered behind the others. Returns int64 [genomes], their groups.
     """
     everybody = [*representatives, *genomes]
-    table = LinkTable()
-    table.write(range(len(everybody)), everybody)
-    genes = table.innovation, table.weight, table.links
+    links = np.array([genome.link_weight.size for genome in everybody])
+    innovation = np.concatenate([genome.link_innovation for genome in everybody])
+    weight = np.concatenate([genome.link_weight for genome in everybody])
+    genes = innovation, weight, links.cumsum() - links, links
     leaders, order = np.split(np.arange(len(everybody)), [len(representatives)])
     group = np.concatenate([leaders, np.full(order.size, -1)])
     starts = np.arange(leaders.size + 1)
@@ -125,7 +126,8 @@ class LinkTable:
         slots, starts = np.concatenate(groups), np.cumsum([0, *sizes])
         old = np.full(self.links.size, -1)
         old[slots] = np.repeat(np.arange(len(groups)), sizes)
-        genes = self.innovation, self.weight, self.links
+        rows = np.arange(self.links.size) * self.innovation.shape[1]
+        genes = self.innovation.ravel(), self.weight.ravel(), rows, self.links
         group, limit = old.copy(), float(threshold)
         moved = _regroup(order, group, slots, starts, genes, limit, config.coefficients)
         if not moved.size:
@@ -135,7 +137,7 @@ class LinkTable:
 
 
 @cached_njit()
-def _distance(
+def links_apart(
     own: Markings,
     own_weight: Weights,
     other: Markings,
@@ -143,7 +145,7 @@ def _distance(
     coefficients: Coefficients,
     limit: float,
 ) -> float:
-    """Walk along two lists of links, each sorted by innovation.
+    """The distance of two lists of links, each sorted by innovation.
 
     Stops with infinity as soon as the genes without a match alone are clearly beyond the limit.
     """
@@ -179,29 +181,31 @@ def _regroup(
     group: Slots,
     members: Slots,
     starts: Slots,
-    genes: tuple[Markings, Weights, Slots],
+    genes: tuple[Markings, Weights, Slots, Slots],
     threshold: float,
     coefficients: Coefficients,
 ) -> Slots:
     """Give `group` [slots] its new values; return the slots that moved, in that order.
 
     The members of old group g are `members[starts[g] : starts[g + 1]]`; who is in none has -1.
+    Genes are markings and weights, and where those of each slot begin and how many they are.
     """
-    innovation, weight, links = genes
+    innovation, weight, begin, links = genes
     groups = starts.size - 1
     leader = np.full(groups + order.size, -1)
     leader[:groups] = members[starts[:-1]]
     moved = np.empty(order.size, np.int64)
     moves = 0
     for slot in order:
-        own, own_weight = innovation[slot, : links[slot]], weight[slot, : links[slot]]
+        at, end = begin[slot], begin[slot] + links[slot]
+        own, own_weight = innovation[at:end], weight[at:end]
         home = 0
         while home < groups:
             first = leader[home]
             if first >= 0:
-                size = links[first]
-                other, other_weight = innovation[first, :size], weight[first, :size]
-                apart = _distance(own, own_weight, other, other_weight, coefficients, threshold)
+                at, end = begin[first], begin[first] + links[first]
+                other, other_weight = innovation[at:end], weight[at:end]
+                apart = links_apart(own, own_weight, other, other_weight, coefficients, threshold)
                 if apart < threshold:
                     break
             home += 1

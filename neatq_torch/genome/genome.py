@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import msgspec
 import numpy as np
@@ -73,6 +73,22 @@ class GenomeFile(msgspec.Struct, forbid_unknown_fields=True):
     observation_schema: str
     nodes: NodeColumns
     links: LinkColumns
+
+
+class Genes(NamedTuple):
+    """What breeding reads of a genome, as compiled code takes it.
+
+    The columns of `Genome`; `source` and `target` are indices into its nodes, not their ids.
+    """
+
+    innovation: NDArray[np.int64]
+    weight: NDArray[np.float32]
+    enabled: NDArray[np.bool_]
+    recurrent: NDArray[np.bool_]
+    source: NDArray[np.int64]
+    target: NDArray[np.int64]
+    node_id: NDArray[np.int32]
+    kind: NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -143,6 +159,13 @@ class Genome:
         """Ids and kinds of the nodes that are not hidden, as bytes: quick to compare."""
         outer = self.node_kind != NodeKind.HIDDEN
         return self.node_id[outer].tobytes(), self.node_kind[outer].tobytes()
+
+    @property
+    def genes(self) -> Genes:
+        """The genome for compiled code, which must not write to it."""
+        links = self.link_innovation, self.link_weight, self.link_enabled, self.link_recurrent
+        ends = self.source_index, self.target_index
+        return Genes(*links, *ends, self.node_id, self.node_kind)
 
     @property
     def input_ids(self) -> NDArray[np.int32]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from neatq_torch.genome.genome import Genome
+from neatq_torch.genome.crossover import copied
+from neatq_torch.genome.genome import Genes, Genome
 from neatq_torch.genome.graph import reaches
 from neatq_torch.genome.innovation import InnovationLedger
 from neatq_torch.genome.rules import (
@@ -24,6 +27,38 @@ from neatq_torch.jit import cached_njit
 from neatq_torch.kinds import check_fields
 
 WeightScheme = Literal["opennero", "uniform"]
+
+Mutation = tuple[float, float, float, float]
+"""What compiled code chose: a kind; the link, or source and target node, as indices; a weight."""
+
+NOTHING, WEIGHTS, NODE, FORWARD, RECURRENT, REMOVED = map(float, range(6))
+"""Kinds of mutations: a structural one that was not possible, none of the structure, the others."""
+
+NO_MUTATION = NOTHING, 0.0, 0.0, 0.0
+BIAS, OUTPUT = int(NodeKind.BIAS), int(NodeKind.OUTPUT)
+_ENDS = {"source_index": np.intp, "target_index": np.intp}
+
+
+class Rates(NamedTuple):
+    """The settings of `MutationConfig` as compiled code takes them."""
+
+    add_node_prob: float
+    add_link_prob: float
+    remove_link_prob: float
+    link_weights_prob: float
+    toggle_enable_prob: float
+    reenable_prob: float
+    uniform: float
+    weight_mutation_power: float
+    weight_replace_prob: float
+    max_link_weight: float
+    split_old_below: float
+    split_tries: float
+    recurrent_link_prob: float
+    recurrent_loop_prob: float
+    forward_from_outputs: float
+    new_link_tries: float
+    new_link_weight_power: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,94 +124,176 @@ class MutationConfig:
         check_fields(self, split_old_below="[0, inf]", split_weight_scale="(-inf, inf)")
         index_of(self.hidden_activation, ACTIVATIONS, "activation")
 
+    @cached_property
+    def rates(self) -> Rates:
+        """What compiled code reads."""
+        own = vars(self) | {"uniform": self.weight_scheme == "uniform"}
+        own["max_link_weight"] = self.max_link_weight or np.inf
+        own["remove_link_prob"] = self.remove_link_prob or 0.0
+        return Rates(*(float(own[name]) for name in Rates._fields))
+
 
 def mutate(
     genome: Genome, config: MutationConfig, ledger: InnovationLedger, rng: np.random.Generator
 ) -> Genome:
-    """The genome after one mutation; a structural one is the only one it gets."""
-    if rng.random() < config.add_node_prob:
-        return add_node(genome, config, ledger, rng)
-    if rng.random() < config.add_link_prob:
-        return add_link(genome, config, ledger, rng)
-    if config.remove_link_prob and rng.random() < config.remove_link_prob:
-        return remove_link(genome, rng)
-    if rng.random() < config.link_weights_prob:
-        genome = mutate_weights(genome, config, rng)
-    if rng.random() < config.toggle_enable_prob:
-        genome = toggle_enable(genome, rng)
-    if rng.random() < config.reenable_prob:
-        genome = reenable(genome)
-    return genome
+    """The genome after one mutation; a structural one is the only one it gets.
+
+    The genome itself comes back if nothing is found in `split_tries` or `new_link_tries` tries.
+    """
+    genes, mutation = _mutated_copy(rng, genome.genes, config.rates)
+    if mutation[0] == WEIGHTS:
+        check_weights(genome.link_innovation, genes.weight)
+        return genome.unchecked(link_weight=genes.weight, link_enabled=genes.enabled)
+    return restructured(genome, mutation, config, ledger)
 
 
-def mutate_weights(genome: Genome, config: MutationConfig, rng: np.random.Generator) -> Genome:
-    """The genome with mutated weights; disabled links mutate too."""
-    weights = mutated_weights(genome.link_weight, config, rng)
-    check_weights(genome.link_innovation, weights)
-    return genome.unchecked(link_weight=weights)
+def restructured(
+    genome: Genome, mutation: Sequence[float], config: MutationConfig, ledger: InnovationLedger
+) -> Genome:
+    """The genome after a structural mutation, numbered by the ledger, or as it is without one."""
+    kind, one, two, weight = mutation
+    if kind == NODE:
+        return _with_node(genome, int(one), config, ledger)
+    if kind == REMOVED:
+        return _without_link(genome, int(one))
+    if kind in (NOTHING, WEIGHTS):
+        return genome
+    return _with_link(genome, (int(one), int(two)), kind == RECURRENT, weight, ledger)
+
+
+@cached_njit()
+def _mutated_copy(rng: np.random.Generator, genes: Genes, rates: Rates) -> tuple[Genes, Mutation]:
+    child = copied(genes)
+    return child, draw_mutation(rng, child, rates)
+
+
+@cached_njit()
+def draw_mutation(rng: np.random.Generator, genes: Genes, rates: Rates) -> Mutation:
+    """Mutate weights and `enabled` of genes, or say which structural mutation they have instead."""
+    if rng.random() < rates.add_node_prob:
+        return _drawn_split(rng, genes, rates)
+    if rng.random() < rates.add_link_prob:
+        return _drawn_link(rng, genes, rates)
+    if rates.remove_link_prob and rng.random() < rates.remove_link_prob:
+        on = np.flatnonzero(genes.enabled)
+        return (REMOVED, float(on[rng.integers(0, on.size)]), 0.0, 0.0) if on.size else NO_MUTATION
+    if rng.random() < rates.link_weights_prob:
+        shake(rng, genes.weight, rates)
+    enabled = genes.enabled
+    if rng.random() < rates.toggle_enable_prob and enabled.size:
+        # A link is only switched off if its source keeps another enabled link.
+        chosen = rng.integers(0, enabled.size)
+        enabled[chosen] = not enabled[chosen]
+        enabled[chosen] |= not (enabled & (genes.source == genes.source[chosen])).any()
+    if rng.random() < rates.reenable_prob and not enabled.all():
+        enabled[enabled.argmin()] = True
+    return WEIGHTS, 0.0, 0.0, 0.0
 
 
 def mutated_weights(
     weights: NDArray[np.float32], config: MutationConfig, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Weights [links] after one mutation of weights.
+    """Weights [links] after one mutation of weights; those of disabled links mutate too."""
+    new = weights.copy()
+    shake(rng, new, config.rates)
+    return new
+
+
+@cached_njit()
+def shake(rng: np.random.Generator, weights: NDArray[np.float32], rates: Rates) -> None:
+    """Mutate weights [links].
 
     Scheme "opennero" (`Genome::mutate_link_weights` there): half of the mutations are severe,
     with 70 % of the weights moved, 20 % new, 10 % kept; in the others the last fifth of a
     genome of 10 genes or more has 50 % moved, 20 % new, 30 % kept, and all older genes move.
     """
     links = weights.size
-    shift = rng.uniform(-config.weight_mutation_power, config.weight_mutation_power, links)
-    choice = rng.random(links)
-    if config.weight_scheme == "uniform":
-        old = young = (0.0, config.weight_replace_prob)
+    power, cap = rates.weight_mutation_power, rates.max_link_weight
+    shift, choice = rng.uniform(-power, power, links), rng.random(links)
+    old, young = (0.0, 0.0), (0.3, 0.2) if links >= 10 else (0.0, 0.0)  # shares kept and new
+    if rates.uniform:
+        old = young = (0.0, rates.weight_replace_prob)
     elif rng.random() < 0.5:  # severe
         old = young = (0.1, 0.2)
-    else:
-        old, young = (0.0, 0.0), (0.3, 0.2) if links >= 10 else (0.0, 0.0)
-    cap = np.inf if config.max_link_weight is None else float(config.max_link_weight)
-    return _shaken(weights, shift, choice, old, young, cap)
+    for link in range(links):
+        kept, replaced = young if link > 0.8 * links else old
+        # choice: [0, kept) keeps, [kept, kept + replaced) replaces, the rest moves.
+        weight = np.float64(weights[link])
+        if choice[link] >= kept:
+            moved = choice[link] >= kept + replaced
+            weight = weight + shift[link] if moved else shift[link]
+        weights[link] = min(max(weight, -cap), cap)
 
 
 @cached_njit()
-def _shaken(
-    weights: NDArray[np.float32],
-    shift: NDArray[np.float64],
-    choice: NDArray[np.float64],
-    old: tuple[float, float],
-    young: tuple[float, float],
-    cap: float,
-) -> NDArray[np.float32]:
-    """Weights [links], capped; (kept, replaced) shares, the last fifth of the genes is young."""
-    new = np.empty_like(weights)
-    for link in range(weights.size):
-        kept, replaced = young if link > 0.8 * weights.size else old
-        # choice: [0, kept) keeps, [kept, kept + replaced) replaces, the rest moves.
-        if choice[link] < kept:
-            weight = np.float64(weights[link])
-        elif choice[link] < kept + replaced:
-            weight = shift[link]
-        else:
-            weight = weights[link] + shift[link]
-        new[link] = min(max(weight, -cap), cap)
-    return new
+def _drawn_split(rng: np.random.Generator, genes: Genes, rates: Rates) -> Mutation:
+    """Choose an enabled link, not of the bias, to be split."""
+    links, steps = genes.weight.size, -1
+    if links and links >= rates.split_old_below:
+        for link in rng.integers(0, links, size=int(rates.split_tries)):
+            if genes.enabled[link] and genes.kind[genes.source[link]] != BIAS:
+                return NODE, float(link), 0.0, 0.0
+        return NO_MUTATION
+    # The first enabled one, or each next one with probability 0.3. As in the code of Stanley &
+    # Miikkulainen 2002, chance may end at a disabled link or beyond the last: none is split.
+    for link in range(links):
+        if genes.kind[genes.source[link]] == BIAS:
+            continue
+        if steps < 0 and genes.enabled[link]:
+            steps = rng.geometric(0.7)
+        steps -= steps > 0
+        if steps == 0:
+            return (NODE, float(link), 0.0, 0.0) if genes.enabled[link] else NO_MUTATION
+    return NO_MUTATION
 
 
-def add_node(
-    genome: Genome, config: MutationConfig, ledger: InnovationLedger, rng: np.random.Generator
+@cached_njit()
+def _drawn_link(rng: np.random.Generator, genes: Genes, rates: Rates) -> Mutation:
+    """Choose two nodes to be linked, and a weight.
+
+    A link is recurrent if its target already reaches its source by forward links, enabled or
+    not, so that the forward links never form a cycle; or if it leaves an output, unless
+    `forward_from_outputs`.
+    """
+    recurrent, tries = rng.random() < rates.recurrent_link_prob, int(rates.new_link_tries)
+    enterable = np.flatnonzero(genes.kind > BIAS)
+    sources = rng.integers(0, genes.kind.size, size=tries)
+    targets = enterable[rng.integers(0, enterable.size, size=tries)]
+    if recurrent:
+        sources = np.where(rng.random(tries) < rates.recurrent_loop_prob, targets, sources)
+    weight = rng.uniform(-rates.new_link_weight_power, rates.new_link_weight_power)
+    for source, target in zip(sources, targets):  # noqa: B905  numba knows no strict
+        taken = False
+        for link in range(genes.weight.size):
+            same = genes.source[link] == source and genes.target[link] == target
+            taken |= same and genes.recurrent[link] == recurrent
+        if not taken and _would_recur(genes, rates, source, target) == recurrent:
+            return RECURRENT if recurrent else FORWARD, float(source), float(target), weight
+    return NO_MUTATION
+
+
+@cached_njit()
+def _would_recur(genes: Genes, rates: Rates, source: int, target: int) -> bool:
+    if source == target or (genes.kind[source] == OUTPUT and not rates.forward_from_outputs):
+        return True
+    if genes.kind[source] <= BIAS:
+        return False
+    forward = ~genes.recurrent
+    ends = genes.source[forward], genes.target[forward]
+    return reaches(*ends, genes.kind.size, target, source)
+
+
+def _with_node(
+    genome: Genome, chosen: int, config: MutationConfig, ledger: InnovationLedger
 ) -> Genome:
     """The genome with one enabled link split by a new node.
 
     The link is disabled; the weight in front of the node is 1, the one behind it the link's
-    times `split_weight_scale`. Links of the bias are not split. The genome itself comes back
-    if no link is found in `split_tries` tries.
+    times `split_weight_scale`.
     """
-    chosen = _link_to_split(genome, config, rng)
-    if chosen is None:
-        return genome
     split = ledger.split(int(genome.link_innovation[chosen]), genome.node_id.tolist())
     weight = np.float32(genome.link_weight[chosen] * config.split_weight_scale)
-    activation = ACTIVATIONS.index(config.hidden_activation)
+    nodes, activation = genome.node_id.size, ACTIVATIONS.index(config.hidden_activation)
     links = _joined_links(
         genome,
         link_innovation=[split.in_innovation, split.out_innovation],
@@ -184,6 +301,8 @@ def add_node(
         link_target=[split.node_id, genome.link_target[chosen]],
         link_weight=[1.0, weight],
         link_recurrent=[genome.link_recurrent[chosen], False],
+        source_index=[genome.source_index[chosen], nodes],
+        target_index=[nodes, genome.target_index[chosen]],
     )
     links["link_enabled"] &= links["link_innovation"] != genome.link_innovation[chosen]
     return genome.unchecked(
@@ -194,38 +313,10 @@ def add_node(
     )
 
 
-def _link_to_split(genome: Genome, config: MutationConfig, rng: np.random.Generator) -> int | None:
-    links = genome.link_innovation.size
-    if links == 0:
-        return None
-    to_split = genome.node_kind[genome.source_index] != NodeKind.BIAS
-    if links >= config.split_old_below:
-        tries = rng.integers(links, size=config.split_tries)
-    else:
-        # The first enabled one, or each next one with probability 0.3. As in the code of Stanley &
-        # Miikkulainen 2002, chance may end at a disabled link or beyond the last: none is split.
-        old = np.flatnonzero(to_split)
-        enabled = genome.link_enabled[old]
-        first = enabled.argmax() + rng.geometric(0.7) - 1 if enabled.any() else old.size
-        tries = old[first : first + 1]
-    found = tries[(genome.link_enabled & to_split)[tries]]
-    return int(found[0]) if found.size else None
-
-
-def add_link(
-    genome: Genome, config: MutationConfig, ledger: InnovationLedger, rng: np.random.Generator
+def _with_link(
+    genome: Genome, pair: tuple[int, int], recurrent: bool, weight: float, ledger: InnovationLedger
 ) -> Genome:
-    """The genome with one new link, or the genome itself if no place was found.
-
-    A link is recurrent if its target already reaches its source by forward links, enabled or
-    not, so that the forward links never form a cycle; or if it leaves an output, unless
-    `forward_from_outputs`.
-    """
-    recurrent = bool(rng.random() < config.recurrent_link_prob)
-    pair = _free_pair(genome, recurrent, config, rng)
-    weight = rng.uniform(-config.new_link_weight_power, config.new_link_weight_power)
-    if pair is None:
-        return genome
+    """The genome with a new link between two nodes, given by their indices (source, target)."""
     source, target = (int(genome.node_id[index]) for index in pair)
     known = ledger.link(source, target, recurrent, np.float32(weight).item())
     links = _joined_links(
@@ -235,63 +326,18 @@ def add_link(
         link_target=[target],
         link_weight=[known.weight],
         link_recurrent=[recurrent],
+        source_index=[pair[0]],
+        target_index=[pair[1]],
     )
     return genome.unchecked(**links)
 
 
-def _free_pair(
-    genome: Genome, recurrent: bool, config: MutationConfig, rng: np.random.Generator
-) -> tuple[int, int] | None:
-    """Node indices (source, target) between which such a link is missing."""
-    tries, nodes = config.new_link_tries, genome.node_id.size
-    enterable = np.flatnonzero(genome.node_kind > NodeKind.BIAS)
-    sources = rng.integers(nodes, size=tries)
-    targets = enterable[rng.integers(enterable.size, size=tries)]
-    if recurrent:
-        sources = np.where(rng.random(tries) < config.recurrent_loop_prob, targets, sources)
-    same_kind = genome.link_recurrent == recurrent
-    keys = (genome.source_index * nodes + genome.target_index)[same_kind]
-    free = ~np.isin(sources * nodes + targets, keys)
-    for source, target in zip(sources[free].tolist(), targets[free].tolist(), strict=True):
-        if _would_recur(genome, config, source, target) == recurrent:
-            return source, target
-    return None
-
-
-def _would_recur(genome: Genome, config: MutationConfig, source: int, target: int) -> bool:
-    kind = genome.node_kind[source]
-    if source == target or (kind == NodeKind.OUTPUT and not config.forward_from_outputs):
-        return True
-    if kind <= NodeKind.BIAS:
-        return False
-    forward = ~genome.link_recurrent
-    sources, targets = genome.source_index[forward], genome.target_index[forward]
-    return reaches(sources, targets, genome.node_id.size, target, source)
-
-
-def toggle_enable(genome: Genome, rng: np.random.Generator) -> Genome:
-    """The genome with one link switched on or off.
-
-    A link is only switched off if its source keeps another enabled link.
-    """
-    if not genome.link_enabled.size:
-        return genome
-    chosen = int(rng.integers(genome.link_enabled.size))
-    enabled = genome.link_enabled.copy()
-    enabled[chosen] = not enabled[chosen]
-    leaving = genome.link_source == genome.link_source[chosen]
-    return genome.unchecked(link_enabled=enabled) if (enabled & leaving).any() else genome
-
-
-def remove_link(genome: Genome, rng: np.random.Generator) -> Genome:
+def _without_link(genome: Genome, chosen: int) -> Genome:
     """The genome without one of its enabled links, be it the last of an input or output.
 
     Hidden nodes that no link leaves any more, but to themselves, go with the links into them.
     """
-    enabled = np.flatnonzero(genome.link_enabled)
-    if not enabled.size:
-        return genome
-    kept = np.arange(genome.link_enabled.size) != enabled[rng.integers(enabled.size)]
+    kept = np.arange(genome.link_enabled.size) != chosen
     onwards = genome.source_index != genome.target_index
     nodes, left = np.ones(genome.node_id.size, dtype=bool), -1
     while left != (left := np.count_nonzero(nodes)):
@@ -302,21 +348,12 @@ def remove_link(genome: Genome, rng: np.random.Generator) -> Genome:
     return genome.unchecked(**links, **{name: getattr(genome, name)[nodes] for name in NODE_FIELDS})
 
 
-def reenable(genome: Genome) -> Genome:
-    """The genome with its first disabled link enabled."""
-    if genome.link_enabled.all():
-        return genome
-    enabled = genome.link_enabled.copy()
-    enabled[enabled.argmin()] = True
-    return genome.unchecked(link_enabled=enabled)
-
-
 def _joined_links(genome: Genome, **new: list[Any]) -> dict[str, NDArray[Any]]:
-    """The genome's link columns with new, enabled links, sorted by innovation."""
+    """The genome's link columns, and ends, with new, enabled links, sorted by innovation."""
     new["link_enabled"] = [True] * len(new["link_innovation"])
-    joined = {
+    joined: dict[str, NDArray[Any]] = {
         name: np.concatenate([getattr(genome, name), np.array(new[name], dtype=dtype)])
-        for name, dtype in LINK_FIELDS.items()
+        for name, dtype in (LINK_FIELDS | _ENDS).items()
     }
     order = np.argsort(joined["link_innovation"], kind="stable")
     links = {name: column[order] for name, column in joined.items()}

@@ -29,7 +29,6 @@ from neatq_experiments.foraging_world import (
 )
 from neatq_torch.evolution import NEAT_2002
 from neatq_torch.genome import Genome, InnovationLedger, NodeKind, initial_genome, mutate
-from neatq_torch.genome.mutation import add_link, add_node
 from neatq_torch.network import PopulationNetwork
 
 SIZE = 1_000.0
@@ -62,11 +61,10 @@ def grown(count: int, activation: str = "sigmoid") -> list[Genome]:
         initial_genome(9, 2, rng=rng, activation=activation, genome_id=one) for one in numbers
     ]
     ledger = InnovationLedger.for_genomes(genomes)
+    node, link = replace(config, add_node_prob=1.0), replace(config, add_link_prob=1.0)
     for _ in range(12):
-        genomes = [
-            add_link(add_node(one, config, ledger, rng), config, ledger, rng) for one in genomes
-        ]
-        genomes = [mutate(one, config, ledger, rng) for one in genomes]
+        for mutation in (node, replace(link, add_node_prob=0.0), config):
+            genomes = [mutate(one, mutation, ledger, rng) for one in genomes]
     return genomes
 
 

@@ -16,18 +16,44 @@ from neatq_torch.genome import (
     initial_genome,
     mutate,
 )
-from neatq_torch.genome.mutation import (
-    add_link,
-    add_node,
-    mutate_weights,
-    mutated_weights,
-    reenable,
-    remove_link,
-    toggle_enable,
-)
+from neatq_torch.genome.mutation import mutated_weights
 
 PLAIN = MutationConfig()
+NOTHING: dict[str, float] = {
+    "add_node_prob": 0.0,
+    "add_link_prob": 0.0,
+    "link_weights_prob": 0.0,
+}
 START = 10.0  # far from U(-0.5, 0.5), so that new weights and moved ones cannot be confused
+
+
+def add_node(
+    genome: Genome, config: MutationConfig, ledger: InnovationLedger, rng: np.random.Generator
+) -> Genome:
+    return mutate(genome, replace(config, add_node_prob=1.0), ledger, rng)
+
+
+def add_link(
+    genome: Genome, config: MutationConfig, ledger: InnovationLedger, rng: np.random.Generator
+) -> Genome:
+    return mutate(genome, replace(config, add_node_prob=0.0, add_link_prob=1.0), ledger, rng)
+
+
+def changed(genome: Genome, rng: np.random.Generator, **config: float) -> Genome:
+    """The genome after one mutation of the only kind that happens."""
+    return mutate(genome, MutationConfig(**(NOTHING | config)), InnovationLedger(), rng)
+
+
+def toggle_enable(genome: Genome, rng: np.random.Generator) -> Genome:
+    return changed(genome, rng, toggle_enable_prob=1.0)
+
+
+def reenable(genome: Genome) -> Genome:
+    return changed(genome, np.random.default_rng(0), reenable_prob=1.0)
+
+
+def remove_link(genome: Genome, rng: np.random.Generator) -> Genome:
+    return changed(genome, rng, remove_link_prob=1.0)
 
 
 def shares(config: MutationConfig, links: int) -> np.ndarray:
@@ -264,7 +290,7 @@ def test_a_disabled_link_can_be_toggled_back(small: Genome) -> None:
 def test_reenable_switches_the_first_disabled_link_on(small: Genome) -> None:
     off = small.replaced(link_enabled=[True, False, True, False, True])
     assert reenable(off).link_enabled.tolist() == [True, True, True, False, True]
-    assert reenable(small) is small
+    assert reenable(small).link_enabled.all()
 
 
 def test_toggling_and_reenabling_happen_if_asked_for(small: Genome) -> None:
@@ -356,8 +382,9 @@ def test_genomes_without_links_can_mutate(make_genome: Callable[..., Genome]) ->
     empty, rng = make_genome([]), np.random.default_rng(0)
     ledger = InnovationLedger.for_genomes([empty])
     assert add_node(empty, PLAIN, ledger, rng) is empty
-    assert toggle_enable(empty, rng) is empty
-    assert mutate_weights(empty, PLAIN, rng).to_json() == empty.to_json()
+    assert toggle_enable(empty, rng).to_json() == empty.to_json()
+    assert reenable(empty).to_json() == empty.to_json()
+    assert changed(empty, rng, link_weights_prob=1.0).to_json() == empty.to_json()
     config = MutationConfig(recurrent_link_prob=0.0, new_link_tries=50)
     assert add_link(empty, config, ledger, rng).link_innovation.tolist() == [1]
 
