@@ -21,7 +21,7 @@ PACKAGES = (
 PROGRAM = """
 import subprocess, sys
 import neatq_torch.genome.rules, neatq_envs.mountain_car
-from neatq_torch.genome.graph import node_levels
+from neatq_torch.genome.heredity import node_levels
 import numpy as np
 print(node_levels(np.array([0, 1]), np.array([1, 2]), 3).tolist())
 assert neatq_torch.genome.rules.__file__.startswith(sys.argv[1])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,21 +19,12 @@ from neatq_torch.genome import (
     MutationConfig,
     first_is_fitter,
 )
-from neatq_torch.genome.crossover import Indices, check_mates, copied, crossed, with_genes
-from neatq_torch.genome.distance import links_apart
-from neatq_torch.genome.genome import Genes
-from neatq_torch.genome.mutation import (
-    NO_MUTATION,
-    Mutation,
-    draw_mutation,
-    restructured,
-)
+from neatq_torch.genome.crossover import check_mates, with_genes
+from neatq_torch.genome.genes import Genes, Herd, Means
+from neatq_torch.genome.heredity import born, conceived
+from neatq_torch.genome.mutation import restructured
 from neatq_torch.genome.rules import check_weights
-from neatq_torch.jit import cached_njit
 from neatq_torch.kinds import check_fields
-
-Means = tuple[Any, ...]
-"""A `ReproductionConfig` for compiled code."""
 
 Child = tuple[Genome, tuple[int, ...]]
 """A genome, and the ids of its parents, that of the fitter one first."""
@@ -129,55 +120,12 @@ def offspring(
         check_mates(*genomes)
     fitter = not two or first_is_fitter(*genomes, first.fitness, second.fitness)
     kinship = two, fitter, interspecies, first.genome.genome_id == second.genome.genome_id
-    couple = first.genome.genes, second.genome.genes
-    *made, mutation = _conceived(rng, *couple, kinship, config.means[1])
-    child = with_genes(*(genomes if fitter else genomes[::-1]), genome_id, *made)
+    base, other = genomes if fitter else genomes[::-1]
+    couple = base.genes, other.genes
+    genes, new, joined, mutation = conceived(rng, *couple, kinship, config.means[1])
+    child = with_genes(base, other, genome_id, genes, new, joined)
     check_weights(child.link_innovation, child.link_weight)
     return restructured(child, mutation, config.mutation, ledger)
-
-
-@cached_njit()
-def _conceived(
-    rng: np.random.Generator,
-    first: Genes,
-    second: Genes,
-    kinship: tuple[bool, bool, bool, bool],
-    means: Means,
-) -> tuple[Genes, Indices, bool, Mutation]:
-    """Return what `crossed` makes of parents, with mutated weights; a structural mutation of it.
-
-    Kinship: whether there are two parents; whether the first is the fitter one (as one alone is);
-    whether they are of different species; whether they have the same number.
-    """
-    two, fitter, interspecies, same = kinship
-    multipoint_prob, mate_only_prob, keep_all_genes, shares, coefficients, rates = means
-    child, new, joined = first, np.empty(0, np.int64), False
-    if not two:
-        child = copied(first)
-        return child, new, joined, draw_mutation(rng, child, rates)
-    average = rng.random() >= multipoint_prob
-    keep = keep_all_genes or interspecies
-    child, new, joined = crossed(rng, first, second, fitter, average, keep, shares)
-    if rng.random() < mate_only_prob and not same:
-        genes = first.innovation, first.weight, second.innovation, second.weight
-        if links_apart(*genes, coefficients, np.inf) != 0.0:
-            return child, new, joined, NO_MUTATION
-    return child, new, joined, draw_mutation(rng, child, rates)
-
-
-class Herd(NamedTuple):
-    """Those who breed in a generation, one species behind the other, for compiled code.
-
-    `links` and `nodes`, int64 [genomes + 1], tell where those of each genome begin and end in
-    `genes`; `homes`, int64 [species + 1], where each species begins and ends.
-    """
-
-    genes: Genes
-    links: Indices
-    nodes: Indices
-    genome_id: Indices
-    fitness: NDArray[np.float64]
-    homes: Indices
 
 
 def roulette(shares: ArrayLike, rng: np.random.Generator) -> int:
@@ -274,11 +222,13 @@ def litters(
     columns = zip(*(one.genes for one in genomes), strict=True)
     homes = _bounds([len(pool) for pool in pools])
     genes = Genes(*(np.concatenate(column) for column in columns))
+    for column in (*genes[:4], *genes[6:]):
+        column.flags.writeable = False  # as those of a genome: so `conceived` is compiled once
     herd = Herd(genes, _bounds(links), _bounds(nodes), numbers.copy(), fitness, homes)
     done = 0
     while done < home.size:
         batch = home[done : done + BATCH]
-        weight, enabled, parents, mutations, *joined = _born(rng, herd, batch, config.means)
+        weight, enabled, parents, mutations, *joined = born(rng, herd, batch, config.means)
         for row, (base, other, *ids) in enumerate(parents.tolist()):
             done, fitter, size = done + 1, genomes[base], links[base]
             if joined[-1] and row + 1 == len(parents):
@@ -297,66 +247,3 @@ def litters(
 def _bounds(sizes: ArrayLike) -> NDArray[np.int64]:
     """Where parts of these sizes begin and end, one behind the other."""
     return np.concatenate(([0], np.cumsum(sizes)))
-
-
-@cached_njit()
-def _born(
-    rng: np.random.Generator,
-    herd: Herd,
-    home: NDArray[np.int64],
-    means: Means,
-) -> tuple[NDArray[np.float32], NDArray[np.bool_], Indices, Any, Genes, Indices, bool]:
-    """Let children [children] be born until one has genes that its fitter parent does not have.
-
-    Args:
-        rng: The source of chance.
-        herd: The genomes.
-        home: Species that each child is of [children].
-        means: How they come about.
-
-    Returns:
-        Of those that are born weights and `enabled`, each a padded row; who passes on its genes,
-        the other parent, the fitter one and the less fit one, -1 for none; a `Mutation`; and what
-        `crossed` says of the last one.
-    """
-    width = (herd.links[1:] - herd.links[:-1]).max()
-    weight = np.empty((home.size, width), np.float32)
-    enabled = np.empty((home.size, width), np.bool_)
-    parents, mutations = np.empty((home.size, 4), np.int64), np.empty((home.size, 4))
-    (mutate_only_prob, interspecies_prob), conception = means
-    bounds, fitness, species = herd.homes, herd.fitness, herd.homes.size - 1
-    genes, new, joined, child = copied(_genes_at(herd, 0)), np.empty(0, np.int64), False, -1
-    while child + 1 < home.size and not joined:
-        child += 1
-        low, high = bounds[home[child]], bounds[home[child] + 1]
-        first = second = low + rng.integers(0, high - low)
-        two, outside = high - low > 1 and rng.random() >= mutate_only_prob, False
-        if two:
-            outside = species > 1 and rng.random() < interspecies_prob
-            if outside:
-                other = rng.integers(0, species - 1)
-                second = bounds[other + (other >= home[child])]
-            else:
-                second = low + rng.integers(0, high - low)
-        own, others = _genes_at(herd, first), _genes_at(herd, second)
-        fitter = not two or fitness[first] > fitness[second]
-        fitter |= fitness[first] == fitness[second] and own.weight.size < others.weight.size
-        kinship = two, fitter, outside, herd.genome_id[first] == herd.genome_id[second]
-        genes, new, joined, mutation = _conceived(rng, own, others, kinship, conception)
-        base, other = (first, second) if fitter else (second, first)
-        one, another = (first, second) if fitness[first] >= fitness[second] else (second, first)
-        parents[child] = base, other, one, another if two else -1
-        mutations[child] = mutation
-        if not joined:
-            weight[child, : genes.weight.size] = genes.weight
-            enabled[child, : genes.weight.size] = genes.enabled
-    return weight, enabled, parents[: child + 1], mutations, genes, new, joined
-
-
-@cached_njit()
-def _genes_at(herd: Herd, genome: int) -> Genes:
-    genes, first, last = herd.genes, herd.links[genome], herd.links[genome + 1]
-    links = genes.innovation[first:last], genes.weight[first:last], genes.enabled[first:last]
-    ends = genes.recurrent[first:last], genes.source[first:last], genes.target[first:last]
-    first, last = herd.nodes[genome], herd.nodes[genome + 1]
-    return Genes(*links, *ends, genes.node_id[first:last], genes.kind[first:last])

@@ -3,7 +3,7 @@
 from neatq_torch.genome.crossover import CrossoverConfig, first_is_fitter, multipoint
 from neatq_torch.genome.distance import DistanceConfig, LinkTable, compatibility, first_compatible
 from neatq_torch.genome.genome import Genome, load_genome, pack_genomes, save_genome, unpack_genomes
-from neatq_torch.genome.graph import node_levels
+from neatq_torch.genome.heredity import node_levels
 from neatq_torch.genome.initial import initial_genome, layered_genome, random_genome
 from neatq_torch.genome.innovation import InnovationLedger
 from neatq_torch.genome.mutation import MutationConfig, mutate

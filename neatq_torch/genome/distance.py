@@ -53,7 +53,7 @@ def compatibility(a: Genome, b: Genome, config: DistanceConfig) -> float:
     A gene is excess if it lies beyond the last gene of the other genome, else disjoint.
     """
     first, second = (a.link_innovation, a.link_weight), (b.link_innovation, b.link_weight)
-    return links_apart(*first, *second, config.coefficients, np.inf)
+    return _distance(*first, *second, config.coefficients, np.inf)
 
 
 def first_compatible(
@@ -137,7 +137,7 @@ class LinkTable:
 
 
 @cached_njit()
-def links_apart(
+def _distance(
     own: Markings,
     own_weight: Weights,
     other: Markings,
@@ -205,7 +205,7 @@ def _regroup(
             if first >= 0:
                 at, end = begin[first], begin[first] + links[first]
                 other, other_weight = innovation[at:end], weight[at:end]
-                apart = links_apart(own, own_weight, other, other_weight, coefficients, threshold)
+                apart = _distance(own, own_weight, other, other_weight, coefficients, threshold)
                 if apart < threshold:
                     break
             home += 1

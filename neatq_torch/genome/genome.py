@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, Self
 
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neatq_torch.atomic import write_atomic
+from neatq_torch.genome.genes import Genes
 from neatq_torch.genome.rules import (
     ACTIVATIONS,
     LINK_FIELDS,
@@ -73,22 +74,6 @@ class GenomeFile(msgspec.Struct, forbid_unknown_fields=True):
     observation_schema: str
     nodes: NodeColumns
     links: LinkColumns
-
-
-class Genes(NamedTuple):
-    """What breeding reads of a genome, as compiled code takes it.
-
-    The columns of `Genome`; `source` and `target` are indices into its nodes, not their ids.
-    """
-
-    innovation: NDArray[np.int64]
-    weight: NDArray[np.float32]
-    enabled: NDArray[np.bool_]
-    recurrent: NDArray[np.bool_]
-    source: NDArray[np.int64]
-    target: NDArray[np.int64]
-    node_id: NDArray[np.int32]
-    kind: NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

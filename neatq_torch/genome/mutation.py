@@ -5,14 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from neatq_torch.genome.crossover import copied
-from neatq_torch.genome.genome import Genes, Genome
-from neatq_torch.genome.graph import reaches
+from neatq_torch.genome.genes import Rates
+from neatq_torch.genome.genome import Genome
+from neatq_torch.genome.heredity import (
+    NODE,
+    NOTHING,
+    RECURRENT,
+    REMOVED,
+    WEIGHTS,
+    mutated_copy,
+    shake,
+)
 from neatq_torch.genome.innovation import InnovationLedger
 from neatq_torch.genome.rules import (
     ACTIVATIONS,
@@ -23,42 +31,11 @@ from neatq_torch.genome.rules import (
     check_weights,
     index_of,
 )
-from neatq_torch.jit import cached_njit
 from neatq_torch.kinds import check_fields
 
 WeightScheme = Literal["opennero", "uniform"]
 
-Mutation = tuple[float, float, float, float]
-"""What compiled code chose: a kind; the link, or source and target node, as indices; a weight."""
-
-NOTHING, WEIGHTS, NODE, FORWARD, RECURRENT, REMOVED = map(float, range(6))
-"""Kinds of mutations: a structural one that was not possible, none of the structure, the others."""
-
-NO_MUTATION = NOTHING, 0.0, 0.0, 0.0
-BIAS, OUTPUT = int(NodeKind.BIAS), int(NodeKind.OUTPUT)
 _ENDS = {"source_index": np.intp, "target_index": np.intp}
-
-
-class Rates(NamedTuple):
-    """The settings of `MutationConfig` as compiled code takes them."""
-
-    add_node_prob: float
-    add_link_prob: float
-    remove_link_prob: float
-    link_weights_prob: float
-    toggle_enable_prob: float
-    reenable_prob: float
-    uniform: float
-    weight_mutation_power: float
-    weight_replace_prob: float
-    max_link_weight: float
-    split_old_below: float
-    split_tries: float
-    recurrent_link_prob: float
-    recurrent_loop_prob: float
-    forward_from_outputs: float
-    new_link_tries: float
-    new_link_weight_power: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +117,7 @@ def mutate(
 
     The genome itself comes back if nothing is found in `split_tries` or `new_link_tries` tries.
     """
-    genes, mutation = _mutated_copy(rng, genome.genes, config.rates)
+    genes, mutation = mutated_copy(rng, genome.genes, config.rates)
     if mutation[0] == WEIGHTS:
         check_weights(genome.link_innovation, genes.weight)
         return genome.unchecked(link_weight=genes.weight, link_enabled=genes.enabled)
@@ -161,35 +138,6 @@ def restructured(
     return _with_link(genome, (int(one), int(two)), kind == RECURRENT, weight, ledger)
 
 
-@cached_njit()
-def _mutated_copy(rng: np.random.Generator, genes: Genes, rates: Rates) -> tuple[Genes, Mutation]:
-    child = copied(genes)
-    return child, draw_mutation(rng, child, rates)
-
-
-@cached_njit()
-def draw_mutation(rng: np.random.Generator, genes: Genes, rates: Rates) -> Mutation:
-    """Mutate weights and `enabled` of genes, or say which structural mutation they have instead."""
-    if rng.random() < rates.add_node_prob:
-        return _drawn_split(rng, genes, rates)
-    if rng.random() < rates.add_link_prob:
-        return _drawn_link(rng, genes, rates)
-    if rates.remove_link_prob and rng.random() < rates.remove_link_prob:
-        on = np.flatnonzero(genes.enabled)
-        return (REMOVED, float(on[rng.integers(0, on.size)]), 0.0, 0.0) if on.size else NO_MUTATION
-    if rng.random() < rates.link_weights_prob:
-        shake(rng, genes.weight, rates)
-    enabled = genes.enabled
-    if rng.random() < rates.toggle_enable_prob and enabled.size:
-        # A link is only switched off if its source keeps another enabled link.
-        chosen = rng.integers(0, enabled.size)
-        enabled[chosen] = not enabled[chosen]
-        enabled[chosen] |= not (enabled & (genes.source == genes.source[chosen])).any()
-    if rng.random() < rates.reenable_prob and not enabled.all():
-        enabled[enabled.argmin()] = True
-    return WEIGHTS, 0.0, 0.0, 0.0
-
-
 def mutated_weights(
     weights: NDArray[np.float32], config: MutationConfig, rng: np.random.Generator
 ) -> NDArray[np.float32]:
@@ -197,90 +145,6 @@ def mutated_weights(
     new = weights.copy()
     shake(rng, new, config.rates)
     return new
-
-
-@cached_njit()
-def shake(rng: np.random.Generator, weights: NDArray[np.float32], rates: Rates) -> None:
-    """Mutate weights [links].
-
-    Scheme "opennero" (`Genome::mutate_link_weights` there): half of the mutations are severe,
-    with 70 % of the weights moved, 20 % new, 10 % kept; in the others the last fifth of a
-    genome of 10 genes or more has 50 % moved, 20 % new, 30 % kept, and all older genes move.
-    """
-    links = weights.size
-    power, cap = rates.weight_mutation_power, rates.max_link_weight
-    shift, choice = rng.uniform(-power, power, links), rng.random(links)
-    old, young = (0.0, 0.0), (0.3, 0.2) if links >= 10 else (0.0, 0.0)  # shares kept and new
-    if rates.uniform:
-        old = young = (0.0, rates.weight_replace_prob)
-    elif rng.random() < 0.5:  # severe
-        old = young = (0.1, 0.2)
-    for link in range(links):
-        kept, replaced = young if link > 0.8 * links else old
-        # choice: [0, kept) keeps, [kept, kept + replaced) replaces, the rest moves.
-        weight = np.float64(weights[link])
-        if choice[link] >= kept:
-            moved = choice[link] >= kept + replaced
-            weight = weight + shift[link] if moved else shift[link]
-        weights[link] = min(max(weight, -cap), cap)
-
-
-@cached_njit()
-def _drawn_split(rng: np.random.Generator, genes: Genes, rates: Rates) -> Mutation:
-    """Choose an enabled link, not of the bias, to be split."""
-    links, steps = genes.weight.size, -1
-    if links and links >= rates.split_old_below:
-        for link in rng.integers(0, links, size=int(rates.split_tries)):
-            if genes.enabled[link] and genes.kind[genes.source[link]] != BIAS:
-                return NODE, float(link), 0.0, 0.0
-        return NO_MUTATION
-    # The first enabled one, or each next one with probability 0.3. As in the code of Stanley &
-    # Miikkulainen 2002, chance may end at a disabled link or beyond the last: none is split.
-    for link in range(links):
-        if genes.kind[genes.source[link]] == BIAS:
-            continue
-        if steps < 0 and genes.enabled[link]:
-            steps = rng.geometric(0.7)
-        steps -= steps > 0
-        if steps == 0:
-            return (NODE, float(link), 0.0, 0.0) if genes.enabled[link] else NO_MUTATION
-    return NO_MUTATION
-
-
-@cached_njit()
-def _drawn_link(rng: np.random.Generator, genes: Genes, rates: Rates) -> Mutation:
-    """Choose two nodes to be linked, and a weight.
-
-    A link is recurrent if its target already reaches its source by forward links, enabled or
-    not, so that the forward links never form a cycle; or if it leaves an output, unless
-    `forward_from_outputs`.
-    """
-    recurrent, tries = rng.random() < rates.recurrent_link_prob, int(rates.new_link_tries)
-    enterable = np.flatnonzero(genes.kind > BIAS)
-    sources = rng.integers(0, genes.kind.size, size=tries)
-    targets = enterable[rng.integers(0, enterable.size, size=tries)]
-    if recurrent:
-        sources = np.where(rng.random(tries) < rates.recurrent_loop_prob, targets, sources)
-    weight = rng.uniform(-rates.new_link_weight_power, rates.new_link_weight_power)
-    for source, target in zip(sources, targets):  # noqa: B905  numba knows no strict
-        taken = False
-        for link in range(genes.weight.size):
-            same = genes.source[link] == source and genes.target[link] == target
-            taken |= same and genes.recurrent[link] == recurrent
-        if not taken and _would_recur(genes, rates, source, target) == recurrent:
-            return RECURRENT if recurrent else FORWARD, float(source), float(target), weight
-    return NO_MUTATION
-
-
-@cached_njit()
-def _would_recur(genes: Genes, rates: Rates, source: int, target: int) -> bool:
-    if source == target or (genes.kind[source] == OUTPUT and not rates.forward_from_outputs):
-        return True
-    if genes.kind[source] <= BIAS:
-        return False
-    forward = ~genes.recurrent
-    ends = genes.source[forward], genes.target[forward]
-    return reaches(*ends, genes.kind.size, target, source)
 
 
 def _with_node(

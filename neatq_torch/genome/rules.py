@@ -6,12 +6,13 @@ Each breach is a GenomeError that names the gene.
 from __future__ import annotations
 
 from enum import IntEnum
+from graphlib import CycleError, TopologicalSorter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from neatq_torch.genome.graph import find_cycle, node_levels
+from neatq_torch.genome.heredity import node_levels
 from neatq_torch.jit import cached_njit
 
 if TYPE_CHECKING:
@@ -187,3 +188,15 @@ def _check_acyclic(genome: Genome) -> None:
             f"forward links form the cycle {' -> '.join(map(str, nodes))} over nodes {nodes[:-1]}; "
             "one of these links must be marked recurrent."
         )
+
+
+def find_cycle(sources: NDArray[np.integer], targets: NDArray[np.integer]) -> list[int]:
+    """Return node indices along one cycle of the links, the first again at the end; or []."""
+    sorter: TopologicalSorter[int] = TopologicalSorter()
+    for source, target in zip(sources.tolist(), targets.tolist(), strict=True):
+        sorter.add(target, source)
+    try:
+        sorter.prepare()
+    except CycleError as error:
+        return error.args[1]
+    return []

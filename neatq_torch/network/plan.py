@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neatq_torch.genome.genome import Genome
-from neatq_torch.genome.graph import node_levels
+from neatq_torch.genome.heredity import node_levels
 from neatq_torch.genome.rules import ACTIVATIONS, NodeKind
 from neatq_torch.kinds import ConfigError
 

@@ -13,10 +13,12 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 import neatq_envs
+import neatq_torch.genome
 
 MODULES = [
-    importlib.import_module(f"neatq_envs.{entry.name}")
-    for entry in pkgutil.iter_modules(neatq_envs.__path__)
+    importlib.import_module(f"{package.__name__}.{entry.name}")
+    for package in (neatq_envs, neatq_torch.genome)
+    for entry in pkgutil.iter_modules(package.__path__)
 ]
 KERNELS = [
     pytest.param(module, kernel, id=f"{module.__name__}.{name}")

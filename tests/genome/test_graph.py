@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from neatq_torch.genome.graph import find_cycle, node_levels, reaches
+from neatq_torch.genome.heredity import node_levels, reaches
+from neatq_torch.genome.rules import find_cycle
 
 PAIRS = st.lists(st.tuples(st.integers(0, 7), st.integers(0, 7)), max_size=20)
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from neatq_torch.genome import Genome, InnovationLedger
-from neatq_torch.genome.crossover import matching
+from neatq_torch.genome.heredity import matching
 from neatq_torch.genome.innovation import Split
 
 

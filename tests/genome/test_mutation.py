@@ -19,7 +19,7 @@ from neatq_torch.genome import (
 from neatq_torch.genome.mutation import mutated_weights
 
 PLAIN = MutationConfig()
-NOTHING: dict[str, float] = {
+NOTHING: dict[str, Any] = {
     "add_node_prob": 0.0,
     "add_link_prob": 0.0,
     "link_weights_prob": 0.0,
@@ -39,7 +39,7 @@ def add_link(
     return mutate(genome, replace(config, add_node_prob=0.0, add_link_prob=1.0), ledger, rng)
 
 
-def changed(genome: Genome, rng: np.random.Generator, **config: float) -> Genome:
+def changed(genome: Genome, rng: np.random.Generator, **config: Any) -> Genome:
     """The genome after one mutation of the only kind that happens."""
     return mutate(genome, MutationConfig(**(NOTHING | config)), InnovationLedger(), rng)
 

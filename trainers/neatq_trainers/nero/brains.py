@@ -9,7 +9,7 @@ import numpy as np
 
 from neatq_envs.nero.state import TeamBrains
 from neatq_torch.genome import Genome
-from neatq_torch.genome.graph import node_levels
+from neatq_torch.genome.heredity import node_levels
 from neatq_torch.genome.rules import NodeKind
 from neatq_trainers.nero.teams import Team
 
