@@ -1,16 +1,19 @@
-"""Breeding in a population of 1,000 genomes of about 60 links.
+"""Breeding genomes of about 60 links: whole generations of 1,000 and 10,000, and single births.
 
-rtNEAT replaces one genome at a time while the others live: choosing who goes, choosing parents,
-crossover, mutation, species. Half of the population is always too young to be judged, as in a run.
-neat-python makes a whole generation: `reproduce` and `speciate`. Both divided by the genomes born,
-CPU time. Mutation rates are the same where both have them (`benchmarks/neat_python.cfg`). rtNEAT
-steers towards 4 species; neat-python has a fixed threshold, here so wide that it finds one species,
-which is the cheapest for it: with 17 it takes three times as long.
+A generation is reproduction and speciation: `NEAT.tell` here, `reproduce` and `speciate` in
+neat-python, divided by the genomes born, CPU time. Fitness is random. Mutation rates and the share
+that may breed are the same where both have them (`benchmarks/neat_python.cfg`). NEAT here steers
+towards 4 species and with random fitness finds more (the notes say how many); neat-python has a
+fixed threshold, here so wide that it finds one species, which is the cheapest for it: with 17 it
+takes three times as long.
 
-Why ours is not cheaper: of the time of a birth, a third goes into the offspring themselves and a
-sixth into sorting all genomes into species again after every fifth birth, as OpenNERO does. The
-rest judges the population, finds the worst and chooses parents: once for each birth here, once for
-a thousand of them in a generation. Printed by
+rtNEAT replaces one genome of 1,000 at a time while the others live. Half of the population is
+always too young to be judged, as in a run. Beside it the same generations of neat-python. Why a
+birth alone is not ten times cheaper, like one among a thousand: of its time a quarter goes into the
+offspring itself, where the call of compiled code takes longer than what it does, and another into
+sorting all genomes into species again after every fifth birth, as OpenNERO does. The rest judges
+the population, finds the worst and chooses parents: once for each birth here, once for a thousand
+of them in a generation. Printed by
 
     python -c "import cProfile; from benchmarks.breeding import Living; one = Living();
     cProfile.run('one.birth_seconds(1000)', sort='cumulative')"
@@ -24,34 +27,67 @@ import numpy as np
 
 from benchmarks import neat_python
 from benchmarks.genomes import OUTPUTS
-from benchmarks.measure import in_rounds
+from benchmarks.measure import Samples, in_rounds
 from benchmarks.result import Line, compare, times_at_most
-from neatq_torch.evolution import RtNEAT, RtNEATConfig
+from neatq_torch.evolution import (
+    NEAT,
+    NEATConfig,
+    Population,
+    RtNEAT,
+    RtNEATConfig,
+    SpeciesConfig,
+)
 
 POPULATION = 1000
+LARGE = 10_000
 INPUTS = 19  # and the bias: 60 links; neat-python's nodes have a bias of their own beside 60 links
 TICKS = 20  # ten replacements fall due in them
 
 
 def run(quick: bool) -> list[Line]:
-    """Measure births one by one and by generations."""
+    """Measure births by generations and one by one."""
     rounds, births = (2, 200) if quick else (5, 1000)
-    ours, theirs = Living(), Generations()
-    samples = in_rounds(
-        {"ours": lambda: ours.birth_seconds(births), "theirs": theirs.birth_seconds}, rounds=rounds
+    lines: list[Line] = []
+    for size in (POPULATION, LARGE):
+        ours, theirs = Bred(size), Generations(size)
+        actions = {"ours": ours.birth_seconds, "theirs": theirs.birth_seconds}
+        what = f"one of a generation of {size:,}"
+        lines.append(_beside(what, in_rounds(actions, rounds=rounds), ours.population, theirs))
+    living, theirs = Living(), Generations(POPULATION)
+    actions = {"ours": lambda: living.birth_seconds(births), "theirs": theirs.birth_seconds}
+    what = f"one birth in rtNEAT while {POPULATION:,} live"
+    return [*lines, _beside(what, in_rounds(actions, rounds=rounds), living.population, theirs)]
+
+
+def _beside(what: str, samples: Samples, ours: Population, theirs: Generations) -> Line:
+    return compare(
+        what,
+        samples["ours"] * 1e6,
+        "neat-python",
+        samples["theirs"] * 1e6,
+        unit="us",
+        goal=times_at_most(0.1),
+        note=f"Species at the end: {len(ours.species)} here, "
+        f"{len(theirs.population.species.species)} in neat-python.",
     )
-    return [
-        compare(
-            "one offspring",
-            samples["ours"] * 1e6,
-            "neat-python",
-            samples["theirs"] * 1e6,
-            unit="us",
-            goal=times_at_most(0.1),
-            note=f"Species at the end: {len(ours.population.species)} here, "
-            f"{len(theirs.population.species.species)} in neat-python.",
-        )
-    ]
+
+
+class Bred:
+    """NEAT with random fitness."""
+
+    def __init__(self, size: int) -> None:
+        self.rng = np.random.default_rng(0)
+        config = NEATConfig(species=SpeciesConfig(), survival_share=0.5)
+        self.population = NEAT.start(config, slots=size, inputs=INPUTS, outputs=OUTPUTS, rng=0)
+        self.birth_seconds()
+
+    def birth_seconds(self) -> float:
+        """CPU seconds for one genome of the next generation."""
+        fitness, before = self.rng.random(len(self.population.genomes)), self.population.births
+        begin = time.process_time()
+        self.population.tell(fitness)
+        seconds = time.process_time() - begin
+        return seconds / (self.population.births - before)
 
 
 class Living:
@@ -80,9 +116,9 @@ class Living:
 class Generations:
     """neat-python with random fitness."""
 
-    def __init__(self) -> None:
+    def __init__(self, size: int) -> None:
         self.rng = np.random.default_rng(0)
-        self.population = neat_python.population(seed=0)
+        self.population = neat_python.population(size, seed=0)
         self.birth_seconds()
 
     def birth_seconds(self) -> float:

@@ -27,9 +27,11 @@ def configuration() -> Any:
     )
 
 
-def population(seed: int) -> Any:
-    """A population of fully connected genomes, sorted into species."""
-    return neat.Population(configuration(), seed=seed)
+def population(size: int, seed: int) -> Any:
+    """A population of so many fully connected genomes, sorted into species."""
+    config = configuration()
+    config.pop_size = size
+    return neat.Population(config, seed=seed)
 
 
 def network(genome: Genome, config: Any) -> Any:

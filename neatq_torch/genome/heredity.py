@@ -68,7 +68,7 @@ def reaches(
 
 
 @inner_njit()
-def _below(rng: np.random.Generator, end: int) -> int:
+def _drawn_below(rng: np.random.Generator, end: int) -> int:
     return int(rng.integers(0, end))
 
 
@@ -101,15 +101,15 @@ def born(
     child = 0
     while True:
         low, high = bounds[home[child]], bounds[home[child] + 1]
-        first = second = low + _below(rng, high - low)
+        first = second = low + _drawn_below(rng, high - low)
         two, outside = high - low > 1 and rng.random() >= mutate_only_prob, False
         if two:
             outside = species > 1 and rng.random() < interspecies_prob
             if outside:
-                other = _below(rng, species - 1)
+                other = _drawn_below(rng, species - 1)
                 second = bounds[other + (other >= home[child])]
             else:
-                second = low + _below(rng, high - low)
+                second = low + _drawn_below(rng, high - low)
         fitter = not two or fitness[first] > fitness[second]
         fitter |= fitness[first] == fitness[second] and sizes[first] < sizes[second]
         base, other = (first, second) if fitter else (second, first)
@@ -340,13 +340,15 @@ def _draw_mutation(rng: np.random.Generator, genes: Genes, rates: Rates) -> Muta
         return _drawn_link(rng, genes, rates)
     if rates.remove_link_prob and rng.random() < rates.remove_link_prob:
         on = np.flatnonzero(genes.enabled)
-        return (REMOVED, float(on[_below(rng, on.size)]), 0.0, 0.0) if on.size else NO_MUTATION
+        return (
+            (REMOVED, float(on[_drawn_below(rng, on.size)]), 0.0, 0.0) if on.size else NO_MUTATION
+        )
     if rng.random() < rates.link_weights_prob:
         shake(rng, genes.weight, rates)
     enabled = genes.enabled
     if rng.random() < rates.toggle_enable_prob and enabled.size:
         # A link is only switched off if its source keeps another enabled link.
-        chosen = _below(rng, enabled.size)
+        chosen = _drawn_below(rng, enabled.size)
         enabled[chosen] = not enabled[chosen]
         enabled[chosen] |= not (enabled & (genes.source == genes.source[chosen])).any()
     if rng.random() < rates.reenable_prob and not enabled.all():
@@ -387,7 +389,7 @@ def _drawn_split(rng: np.random.Generator, genes: Genes, rates: Rates) -> Mutati
     if links and links >= rates.split_old_below:
         tries = np.empty(int(rates.split_tries), np.int64)
         for one in range(tries.size):
-            tries[one] = _below(rng, links)
+            tries[one] = _drawn_below(rng, links)
         for link in tries:
             if genes.enabled[link] and genes.kind[genes.source[link]] != _BIAS:
                 return NODE, float(link), 0.0, 0.0
@@ -417,9 +419,9 @@ def _drawn_link(rng: np.random.Generator, genes: Genes, rates: Rates) -> Mutatio
     enterable = np.flatnonzero(genes.kind > _BIAS)
     pairs = np.empty((tries, 2), np.int64)
     for one in range(tries):
-        pairs[one, 0] = _below(rng, genes.kind.size)
+        pairs[one, 0] = _drawn_below(rng, genes.kind.size)
     for one in range(tries):
-        pairs[one, 1] = enterable[_below(rng, enterable.size)]
+        pairs[one, 1] = enterable[_drawn_below(rng, enterable.size)]
     for one in range(tries if recurrent else 0):
         if rng.random() < rates.recurrent_loop_prob:
             pairs[one, 0] = pairs[one, 1]

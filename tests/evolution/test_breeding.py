@@ -18,6 +18,7 @@ from neatq_torch.evolution import NEAT_2002, OPENNERO, ReproductionConfig
 from neatq_torch.evolution.reproduction import Parent, litters, offspring
 from neatq_torch.genome import (
     ACTIVATIONS,
+    DistanceConfig,
     Genome,
     GenomeError,
     InnovationLedger,
@@ -50,6 +51,8 @@ CONFIGS = [
     MATING,
     replace(NEAT_2002, mutation=UNIFORM, mate_only_prob=0.6, interspecies_mate_prob=0.3),
     replace(MATING, mutation=OLD_FIRST, multipoint_prob=0.3),
+    replace(MATING, mate_only_prob=0.8, distance=DistanceConfig(disjoint=0.0, weight=0.0)),
+    replace(MATING, mate_only_prob=0.8, distance=DistanceConfig(excess=0.0, weight=0.0)),
     replace(MATING, crossover=replace(MATING.crossover, copy_disabled=False), mutate_only_prob=0.0),
 ]
 
