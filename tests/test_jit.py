@@ -65,3 +65,13 @@ def test_with_a_place_nothing_is_said_and_all_is_kept_there(
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert list((tmp_path / "kept").rglob("*.nbc"))
+
+
+def test_what_two_processes_compile_never_has_the_same_number() -> None:
+    code = (
+        "import neatq_torch.jit\nfrom numba import njit\n@njit\ndef one():\n    return 1\none()\n"
+    )
+    code += "print(one.overloads[()].fndesc.uid)"
+    command = [sys.executable, "-c", code]
+    first, second = (subprocess.run(command, capture_output=True, check=True) for _ in range(2))
+    assert first.stdout != second.stdout

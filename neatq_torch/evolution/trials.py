@@ -206,7 +206,8 @@ def z_scores(samples: NDArray[np.float64]) -> NDArray[np.float64]:
     spread = np.sqrt(np.add.reduce(centred * centred) / len(samples))
     # A spread can underflow to 0 for samples that are hardly different.
     centred /= np.where(spread > 0.0, spread, 1.0)
-    centred[:, (samples == samples[0]).all(axis=0)] = 0.0
+    if (samples[-1] == samples[0]).any():
+        centred[:, (samples == samples[0]).all(axis=0)] = 0.0
     return centred
 
 

@@ -14,6 +14,8 @@ from neatq_torch.jit import cached_njit
 from neatq_torch.kinds import check_fields
 
 SMALL_GENOME_LINKS = 20
+KNOWN_GROUPS = 16
+"""For so many groups a `LinkTable` remembers how far everybody is from the first member."""
 
 Markings = NDArray[np.int64]
 Weights = NDArray[np.float32]
@@ -75,7 +77,11 @@ def first_compatible(
     leaders, order = np.split(np.arange(len(everybody)), [len(representatives)])
     group = np.concatenate([leaders, np.full(order.size, -1)])
     starts = np.arange(leaders.size + 1)
-    _regroup(order, group, leaders, starts, genes, float(threshold), config.coefficients)
+    measure, known = (
+        (float(threshold), config.coefficients),
+        (np.empty(0, np.int64), np.empty((0, 0))),
+    )
+    _regroup(order, group, leaders, starts, genes, measure, *known)
     return group[leaders.size :]
 
 
@@ -92,6 +98,9 @@ class LinkTable:
         self.innovation = np.zeros((0, 0), dtype=np.int64)
         self.weight = np.zeros((0, 0), dtype=np.float32)
         self.links = np.zeros(0, dtype=np.int64)
+        self._config: DistanceConfig | None = None
+        self._leaders = np.full(KNOWN_GROUPS, -1)
+        self._apart = np.zeros((KNOWN_GROUPS, 0))
 
     def write(self, slots: Sequence[int], genomes: Sequence[Genome]) -> None:
         """Put the links of each genome in its slot, instead of those that are there."""
@@ -104,13 +113,15 @@ class LinkTable:
         more = [(0, want + want // 4 - had if want > had else 0) for want, had in pairs]
         if any(new for _, new in more):
             self.innovation, self.weight = np.pad(self.innovation, more), np.pad(self.weight, more)
-            self.links = np.pad(self.links, more[0])
+            self.links, self._config = np.pad(self.links, more[0]), None
+            self._apart = np.zeros((KNOWN_GROUPS, self.links.size))
         filled = np.arange(links.max()) < links[:, None]
         for table, name in ((self.innovation, "link_innovation"), (self.weight, "link_weight")):
             block = np.zeros(filled.shape, table.dtype)
             block[filled] = np.concatenate([getattr(genome, name) for genome in genomes])
             table[slots, : links.max()] = block
-        self.links[slots] = links
+        self.links[slots], self._apart[:, slots] = links, np.nan
+        self._leaders[np.isin(self._leaders, slots)] = -1
 
     def regroup(
         self, groups: Sequence[Slots], order: Slots, threshold: float, config: DistanceConfig
@@ -122,14 +133,16 @@ class LinkTable:
         `order` of their slots; no group is empty before, some may be in what comes back: the same
         groups, then the new ones. Who stays keeps its rank, who comes is appended.
         """
+        if config != self._config:
+            self._config, self._leaders[:] = config, -1
         sizes = [members.size for members in groups]
         slots, starts = np.concatenate(groups), np.cumsum([0, *sizes])
         old = np.full(self.links.size, -1)
         old[slots] = np.repeat(np.arange(len(groups)), sizes)
         rows = np.arange(self.links.size) * self.innovation.shape[1]
         genes = self.innovation.ravel(), self.weight.ravel(), rows, self.links
-        group, limit = old.copy(), float(threshold)
-        moved = _regroup(order, group, slots, starts, genes, limit, config.coefficients)
+        group, measure = old.copy(), (float(threshold), config.coefficients)
+        moved = _regroup(order, group, slots, starts, genes, measure, self._leaders, self._apart)
         if not moved.size:
             return list(groups)
         slots = np.concatenate([slots[group[slots] == old[slots]], moved])
@@ -182,14 +195,18 @@ def _regroup(
     members: Slots,
     starts: Slots,
     genes: tuple[Markings, Weights, Slots, Slots],
-    threshold: float,
-    coefficients: Coefficients,
+    measure: tuple[float, Coefficients],
+    leaders: Slots,
+    apart: NDArray[np.float64],
 ) -> Slots:
     """Give `group` [slots] its new values; return the slots that moved, in that order.
 
     The members of old group g are `members[starts[g] : starts[g + 1]]`; who is in none has -1.
-    Genes are markings and weights, and where those of each slot begin and how many they are.
+    Genes are markings and weights, and where those of each slot begin and how many they are; the
+    measure is threshold and coefficients. The first groups have in `apart` [groups, slots], where
+    known, everybody's distance from the slot in `leaders` [groups]; both are kept up to date.
     """
+    threshold, coefficients = measure
     innovation, weight, begin, links = genes
     groups = starts.size - 1
     leader = np.full(groups + order.size, -1)
@@ -203,10 +220,18 @@ def _regroup(
         while home < groups:
             first = leader[home]
             if first >= 0:
-                at, end = begin[first], begin[first] + links[first]
-                other, other_weight = innovation[at:end], weight[at:end]
-                apart = _distance(own, own_weight, other, other_weight, coefficients, threshold)
-                if apart < threshold:
+                known = home < leaders.size
+                if known and leaders[home] != first:
+                    leaders[home], apart[home] = first, np.nan
+                far = apart[home, slot] if known else np.nan
+                if np.isnan(far):
+                    at, end = begin[first], begin[first] + links[first]
+                    other = innovation[at:end], weight[at:end]
+                    limit = np.inf if known else threshold
+                    far = _distance(own, own_weight, *other, coefficients, limit)
+                    if known:
+                        apart[home, slot] = far
+                if far < threshold:
                     break
             home += 1
         old = int(group[slot])

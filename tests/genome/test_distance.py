@@ -19,6 +19,7 @@ from neatq_torch.genome import (
     initial_genome,
     mutate,
 )
+from neatq_torch.genome.distance import KNOWN_GROUPS
 from neatq_torch.genome.rules import LINK_FIELDS
 
 PLAIN = DistanceConfig()
@@ -121,6 +122,27 @@ def test_a_row_may_hold_a_longer_or_a_shorter_genome_than_before(small: Genome) 
         table.write([row], [genome])
         groups = table.regroup([np.array([0, 1, 2])], order, 1.0, PLAIN)
         assert [members.tolist() for members in groups] == expected
+
+
+def test_a_table_that_remembers_distances_regroups_as_a_new_one() -> None:
+    rng = np.random.default_rng(0)
+    genomes = [initial_genome(2, 2, rng=rng, genome_id=number) for number in range(40)]
+    table, groups, config = table_of(genomes), [np.arange(40)], DistanceConfig(weight=1.0)
+    most = 0
+    for turn in range(200):
+        rows = rng.integers(40, size=rng.integers(4)).tolist()
+        for row in rows:
+            genomes[row] = initial_genome(2, 2, rng=rng, genome_id=row)
+        table.write(rows, [genomes[row] for row in rows])
+        groups = [rng.permutation(one) for one in groups if one.size]
+        order, threshold = rng.permutation(40), float(rng.uniform(0.2, 1.2))
+        if turn == 100:
+            config = DistanceConfig(weight=2.0)
+        expected = table_of(genomes).regroup(groups, order, threshold, config)
+        groups = table.regroup(groups, order, threshold, config)
+        assert [one.tolist() for one in groups] == [one.tolist() for one in expected]
+        most = max(most, len(groups))
+    assert most > KNOWN_GROUPS
 
 
 def test_genomes_without_links_are_regrouped(make_genome: Callable[..., Genome]) -> None:
