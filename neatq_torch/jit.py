@@ -14,9 +14,9 @@ from numba.core.bytecode import FunctionIdentity
 
 _TOLD = "NEATQ_COMPILES_IN_EACH_PROCESS"
 
-# numba numbers what a process compiles from 1 on. Of what is kept on disk it takes functions with the
-# same name and number for the same, so that one that was compiled by itself crashed beside another
-# process's that calls it. With numbers of each process's own none are the same.
+# numba numbers what a process compiles from 1 on. Of what is kept on disk it takes functions with
+# the same name and number for the same, so that one that was compiled by itself crashed beside
+# another process's that calls it. With numbers of each process's own none are the same.
 FunctionIdentity._unique_ids = itertools.count(time.time_ns())
 
 

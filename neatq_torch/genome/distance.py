@@ -211,8 +211,7 @@ def _regroup(
     groups = starts.size - 1
     leader = np.full(groups + order.size, -1)
     leader[:groups] = members[starts[:-1]]
-    moved = np.empty(order.size, np.int64)
-    moves = 0
+    moved, moves = np.empty(order.size, np.int64), 0
     for slot in order:
         at, end = begin[slot], begin[slot] + links[slot]
         own, own_weight = innovation[at:end], weight[at:end]
@@ -240,8 +239,7 @@ def _regroup(
         if home == groups:
             leader[home] = slot
             groups += 1
-        group[slot] = home
-        moved[moves] = slot
+        group[slot], moved[moves] = home, slot
         moves += 1
         if old >= 0 and leader[old] == slot:
             # Only old groups lose members: who has moved once stays where it is.
