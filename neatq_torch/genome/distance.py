@@ -121,7 +121,7 @@ class LinkTable:
             block[filled] = np.concatenate([getattr(genome, name) for genome in genomes])
             table[slots, : links.max()] = block
         self.links[slots], self._apart[:, slots] = links, np.nan
-        self._leaders[np.isin(self._leaders, slots)] = -1
+        self._leaders[(self._leaders[:, None] == np.asarray(slots)).any(axis=1)] = -1
 
     def regroup(
         self, groups: Sequence[Slots], order: Slots, threshold: float, config: DistanceConfig
