@@ -10,10 +10,10 @@ takes three times as long.
 rtNEAT replaces one genome of 1,000 at a time while the others live. Half of the population is
 always too young to be judged, as in a run. Beside it the same generations of neat-python. Why a
 birth alone is not ten times cheaper, like one among a thousand: of its time a quarter goes into the
-offspring itself, where the call of compiled code takes longer than what it does, and another into
-sorting all genomes into species again after every fifth birth, as OpenNERO does. The rest judges
-the population, finds the worst and chooses parents: once for each birth here, once for a thousand
-of them in a generation. Printed by
+offspring itself, where handing genes and chance to compiled code and back takes longer than the
+breeding; a sixth into sorting all genomes into species again after every fifth birth, as OpenNERO
+does. The rest judges the population, finds the worst and chooses parents: once for each birth here,
+once for a thousand of them in a generation. Printed by
 
     python -c "import cProfile; from benchmarks.breeding import Living; one = Living();
     cProfile.run('one.birth_seconds(1000)', sort='cumulative')"
