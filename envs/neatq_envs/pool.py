@@ -34,13 +34,16 @@ class Outcome(NamedTuple):
 
 
 class Hand:
-    """Does tasks elsewhere: `begin` of the arguments gives what is called with each."""
+    """Does tasks elsewhere."""
 
-    def __init__(self, begin: Callable[..., Callable[[Any], Any]], *arguments: Any) -> None:
+    _work: Callable[[Any], Any]
+
+    def come(self) -> None:
+        """Say that it is there, and reads what it is told, however long that is."""
+
+    def begin(self, begin: Callable[..., Callable[[Any], Any]], *arguments: Any) -> str:
+        """Call with each task what `begin` of the arguments gives; returns the machine's name."""
         self._work = begin(*arguments)
-
-    def host(self) -> str:
-        """The name of the machine."""
         return platform.node()
 
     def do(self, task: Any) -> tuple[Any, Exception | None]:
@@ -56,6 +59,7 @@ class _Hired:
     """What a hand does, and where; no host before it has begun, no task while it waits for one."""
 
     def __init__(self) -> None:
+        self.came = False
         self.host: str | None = None
         self.task: Any = None
 
@@ -92,9 +96,9 @@ class Pool:
         free = sum(one.task is None for one in self._hands.values())
         wanted = min(self._jobs, cores) - len(self._hands)
         for _ in range(min(wanted, len(self._waiting) - free)):
-            hand = self._machines.open(Hand, *self._begin)
+            hand = self._machines.open(Hand)
             self._hands[hand] = _Hired()
-            hand.ask("host")
+            hand.ask("come")
 
     def _took(self, hand: Distant) -> Outcome | None:
         one = self._hands[hand]
@@ -102,6 +106,10 @@ class Pool:
             answer = hand.answer()
         except ProcessEnded as error:
             return self._lost(hand, error)
+        if not one.came:
+            one.came = True
+            hand.ask("begin", *self._begin)
+            return None
         if one.host is None:
             one.host, self._stillborn = answer, 0
             return None

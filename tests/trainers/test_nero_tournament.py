@@ -262,7 +262,7 @@ def test_a_process_that_dies_costs_none_of_the_finished_matches(
     tmp_path: Path, made_up: Play
 ) -> None:
     fatal, own = importlib.import_module("toy_battles").fatal, teams("a", "b")
-    with pytest.raises(ProcessEnded, match="a process that played matches is gone"):
+    with pytest.raises(ProcessEnded, match="a process ended with exit code"):
         play_tournament(own, matches=8, jobs=2, out=tmp_path, play=fatal)
     kept = read_matches(tmp_path / MATCHES)
     rest = Counted(made_up)

@@ -57,6 +57,8 @@ class _MatchOptions:
     """Hits that take a robot off the field."""
     jobs: int | None = None
     """Processes; the results do not depend on it. Default: one for each core."""
+    cluster: str | None = None
+    """A Ray cluster on which these live: auto, ray://HOST:10001, or local, which begins one."""
     out: Path | None = None
     """Where everything is written: a new or empty folder, or one with matches of the same rules,
     which are not played again."""
@@ -169,6 +171,7 @@ def _matches(
         seed=command.seed,
         rules=command.rules,
         jobs=command.jobs,
+        cluster=command.cluster,
         out=out,
     )
 

@@ -4,27 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-import pickle
-import signal
 import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from tqdm import tqdm
 
-from neatq_envs.processes import (
-    ProcessEnded,
-    end_with_parent,
-    refuse_unguarded_script,
-    usable_cores,
-)
+from neatq_envs.machines import open_machines
+from neatq_envs.pool import performed
+from neatq_envs.processes import usable_cores
 from neatq_torch.atomic import leftovers, write_atomic
 from neatq_torch.json_text import parse_json
 from neatq_torch.kinds import ConfigError
@@ -39,13 +31,13 @@ from neatq_trainers.nero.match_table import (
 )
 from neatq_trainers.nero.schedule import Pairing, check_teams, schedule
 from neatq_trainers.nero.teams import Team
-from neatq_trainers.signals import ending_by_signals, is_main_thread
+from neatq_trainers.signals import ending_by_signals
 
 RULES = "rules.json"
 TableSettings = dict[str, Any]
 """What rows of one table have in common: `rules`, and a digest of each of the `teams`."""
-_hall: list[Hall] = []
-"""What a process that plays matches was begun with."""
+Playing = Callable[[Sequence[Pairing]], Generator[MatchRow]]
+"""Plays matches, and gives the row of each as soon as it is over."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +76,7 @@ def play_tournament(
     seed: int = 0,
     rules: BattleRules | None = None,
     jobs: int | None = None,
+    cluster: str | None = None,
     out: Path | str | None = None,
     play: Callable[..., MatchResult] = play,
 ) -> list[MatchRow]:
@@ -98,6 +91,7 @@ def play_tournament(
         seed: Of the first match of two teams and of its return match; the next have the next.
         rules: Default: those of the tournament of 2011.
         jobs: Processes; the results do not depend on it. Default: one for each core.
+        cluster: A Ray cluster on which these live, see `open_machines`.
         out: A folder for `matches.csv` and `rules.json`, new, empty, or one in which a tournament
             of the same rules goes on or grows: its matches are not played again. None: nothing
             is written.
@@ -108,7 +102,7 @@ def play_tournament(
 
     Raises:
         ConfigError: If the teams cannot meet, or the folder is for something else.
-        ProcessEnded: If a process ends that plays matches; the same call goes on, as after Ctrl-C.
+        ProcessEnded: If three processes end with one match; the same call goes on, as after Ctrl-C.
 
     Example:
         >>> teams = [read_team(path) for path in Path("teams").glob("*.gz")]
@@ -121,17 +115,17 @@ def play_tournament(
     pairings = schedule([team.name for team in teams], matches, seed)
     settings = table_settings(teams, rules)
     hall = Hall(teams={team.name: team for team in teams}, rules=rules, play=play)
-    jobs = usable_cores() if jobs is None else jobs
+    rows_of = partial(_rows_of, hall, jobs, cluster)
     if out is None:
         rows: list[MatchRow] = []
-        _play_missing(hall, pairings, jobs, 0, rows.append)
+        _play_missing(rows_of, pairings, 0, rows.append)
         return _in_order(rows, pairings)
     with _folder(Path(out)) as folder, ending_by_signals():
-        return _play_in(folder, hall, pairings, settings, jobs)
+        return _play_in(folder, rows_of, pairings, settings)
 
 
 def _play_in(
-    folder: Path, hall: Hall, pairings: Sequence[Pairing], settings: TableSettings, jobs: int
+    folder: Path, rows_of: Playing, pairings: Sequence[Pairing], settings: TableSettings
 ) -> list[MatchRow]:
     """Play what is missing of the table in a folder."""
     path = folder / MATCHES
@@ -144,7 +138,7 @@ def _play_in(
             add_match(file, row)
             rows.append(row)
 
-        _play_missing(hall, missing, jobs, len(known), keep)
+        _play_missing(rows_of, missing, len(known), keep)
     rows = _in_order(rows, pairings)
     write_matches(path, rows)
     return rows
@@ -249,86 +243,35 @@ def _refuse_other_settings(path: Path, settings: TableSettings) -> None:
 
 
 def _play_missing(
-    hall: Hall,
-    pairings: Sequence[Pairing],
-    jobs: int,
-    before: int,
-    keep: Callable[[MatchRow], None],
+    rows_of: Playing, pairings: Sequence[Pairing], before: int, keep: Callable[[MatchRow], None]
 ) -> None:
     """Play matches, and hand each row on when it is there; `before` so many were played."""
     silent = sys.stderr is None or not sys.stderr.isatty()
     total = before + len(pairings)
-    jobs = min(jobs, len(pairings))
     with (
         tqdm(total=total, initial=before, unit=" matches", disable=silent) as bar,
-        closing(_rows_of(hall, pairings, jobs)) as rows,
+        closing(rows_of(pairings)) as rows,
     ):
         for row in rows:
             keep(row)
             bar.update()
 
 
-def _rows_of(hall: Hall, pairings: Sequence[Pairing], jobs: int) -> Generator[MatchRow]:
+def _rows_of(
+    hall: Hall, jobs: int | None, cluster: str | None, pairings: Sequence[Pairing]
+) -> Generator[MatchRow]:
     """The rows of matches, with several jobs in whichever order they are over."""
-    if jobs < 2:
+    jobs = usable_cores() if jobs is None and cluster is None else jobs
+    if cluster is None and min(jobs or 1, len(pairings)) < 2:
         yield from map(hall.row, pairings)
         return
-    with _players(hall, jobs) as pool:
-        with _deaf_children():  # with each of the first matches a process begins
-            over = [pool.submit(_play_here, pairing) for pairing in pairings[:jobs]]
-        over += [pool.submit(_play_here, pairing) for pairing in pairings[jobs:]]
-        try:
-            for future in as_completed(over):
-                yield future.result()
-        except BrokenProcessPool as error:
-            raise ProcessEnded(f"a process that played matches is gone ({error})") from error
-
-
-@contextmanager
-def _players(hall: Hall, jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that play matches, and do not outlive an error or Ctrl-C."""
-    refuse_unguarded_script()
-    others = multiprocessing.active_children()
-    context = multiprocessing.get_context("spawn")
+    play = partial, hall.row
     with (
-        TemporaryDirectory(prefix="neatq-") as folder,
-        # Not as an argument: no process would begin before the one before it has read all teams.
-        ProcessPoolExecutor(jobs, context, _begin_player, (_pickled(hall, folder),)) as pool,
+        open_machines(cluster) as machines,
+        closing(performed(machines, play, pairings, jobs=jobs or len(pairings))) as outcomes,
     ):
-        try:
-            yield pool
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
-                if process not in others:
-                    process.terminate()
-            raise
-
-
-@contextmanager
-def _deaf_children() -> Iterator[None]:
-    """Processes that begin inside never hear Ctrl-C, which is for the one that asks."""
-    if not is_main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _pickled(hall: Hall, folder: str) -> Path:
-    path = Path(folder, "hall.pickle")
-    path.write_bytes(pickle.dumps(hall))
-    return path
-
-
-def _begin_player(hall: Path) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent()
-    _hall.append(pickle.loads(hall.read_bytes()))
-
-
-def _play_here(pairing: Pairing) -> MatchRow:
-    return _hall[0].row(pairing)
+        for outcome in outcomes:
+            if outcome is not None and outcome.error is not None:
+                raise outcome.error
+            if outcome is not None:
+                yield outcome.answer
