@@ -138,6 +138,14 @@ LONG: dict[str, RunConfig] = {
         for arm in ("neat", "neat+q")
     },
 }
+# Others that run in any case have the same arms and settings, on other tasks or alone.
+LONG |= {
+    name: SHORT.pop(name)
+    for name in (
+        *("flag committed", "flag described", "flag qlearning"),
+        *("neat+q, lamarckian", "neat+q, range of values", "neat+q by wires", "neat, synchronous"),
+    )
+}
 
 DIGESTS: dict[str, tuple[str, ...]] = {
     "flag rtneat": ("f3fef753f2129f02", "7ab637adee13c724"),

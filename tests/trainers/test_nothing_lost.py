@@ -533,4 +533,4 @@ def test_compiling_is_told_once_on_a_terminal(
 @pytest.mark.slow
 def test_runs_that_are_killed_end_as_those_that_are_not(tmp_path: Path) -> None:
     """The quick form of `make soak`."""
-    soak(3, tmp_path, ["arena, 2 workers"], ["csv"], seed=2)
+    soak(1, tmp_path, ["arena, 2 workers"], ["csv"], seed=2)

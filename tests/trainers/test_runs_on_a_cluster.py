@@ -125,13 +125,14 @@ def test_arenas_on_three_nodes_survive_a_process_and_a_node(
 
 
 def test_a_run_goes_on_on_another_cluster_or_without_one(
-    nodes: Nodes, config: RunConfig, alone: Path, tmp_path: Path
+    nodes: Nodes, config: RunConfig, tmp_path: Path
 ) -> None:
-    """Three workers on the two cores that are left, and none of them in this process."""
-    start(replace(config, ticks=120), tmp_path / "run", workers=3)
+    config = replace(config, arenas=2)
+    start(config, tmp_path / "alone")
+    start(replace(config, ticks=120), tmp_path / "run", workers=2)
     resume(tmp_path / "run", ticks=200, cluster=nodes.address)
     resume(tmp_path / "run", ticks=320)
-    assert same(alone, tmp_path / "run")
+    assert same(tmp_path / "alone", tmp_path / "run")
 
 
 def test_environments_are_dealt_to_a_cluster(nodes: Nodes, tiny_walk: Tiny, tmp_path: Path) -> None:
