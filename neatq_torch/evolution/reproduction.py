@@ -19,9 +19,9 @@ from neatq_torch.genome import (
     MutationConfig,
     first_is_fitter,
 )
-from neatq_torch.genome.crossover import check_mates, with_genes
-from neatq_torch.genome.genes import Genes, Herd, Means
-from neatq_torch.genome.heredity import born, conceived
+from neatq_torch.genome.crossover import check_mates, packed, with_genes
+from neatq_torch.genome.genes import Genes, Means
+from neatq_torch.genome.heredity import LINK_GENE, born, conceived
 from neatq_torch.genome.mutation import restructured
 from neatq_torch.genome.rules import check_weights
 from neatq_torch.kinds import check_fields
@@ -121,7 +121,7 @@ def offspring(
     fitter = not two or first_is_fitter(*genomes, first.fitness, second.fitness)
     kinship = two, fitter, interspecies, first.genome.genome_id == second.genome.genome_id
     base, other = genomes if fitter else genomes[::-1]
-    couple = base.genes, other.genes
+    couple = packed(base.genes), packed(other.genes)
     genes, new, joined, mutation = conceived(rng, *couple, kinship, config.means[1])
     child = with_genes(base, other, genome_id, genes, new, joined)
     check_weights(child.link_innovation, child.link_weight)
@@ -221,23 +221,21 @@ def litters(
     links, nodes, numbers = np.array(sizes, np.int64).T
     columns = zip(*(one.genes for one in genomes), strict=True)
     homes = _bounds([len(pool) for pool in pools])
-    genes = Genes(*(np.concatenate(column) for column in columns))
-    for column in (*genes[:4], *genes[6:]):
-        column.flags.writeable = False  # as those of a genome: so `conceived` is compiled once
-    herd = Herd(genes, _bounds(links), _bounds(nodes), numbers.copy(), fitness, homes)
-    done = 0
+    genes = packed(Genes(*(np.concatenate(column) for column in columns)))
+    herd = genes, (_bounds(links), _bounds(nodes), homes), numbers.copy(), fitness
+    size = min(home.size, BATCH)
+    rows = np.empty((size, links.max()), LINK_GENE)
+    parents, mutations, done = np.empty((size, 4), np.int64), np.empty((size, 4)), 0
     while done < home.size:
         batch = home[done : done + BATCH]
-        weight, enabled, parents, mutations, *joined = born(rng, herd, batch, config.means)
-        for row, (base, other, *ids) in enumerate(parents.tolist()):
+        born_now, *joined = born(rng, *herd, batch, (rows, parents, mutations), config.means)
+        for row, (base, other, *ids) in enumerate(parents[:born_now].tolist()):
             done, fitter, size = done + 1, genomes[base], links[base]
-            if joined[-1] and row + 1 == len(parents):
+            if joined[-1] and row + 1 == born_now:
                 child = with_genes(fitter, genomes[other], next_genome_id, *joined)
             else:
-                own = weight[row, :size].copy(), enabled[row, :size].copy()
-                child = fitter.unchecked(
-                    genome_id=next_genome_id, link_weight=own[0], link_enabled=own[1]
-                )
+                own = rows[row, :size], genes[1]
+                child = with_genes(fitter, fitter, next_genome_id, own, joined[1], False)
             check_weights(child.link_innovation, child.link_weight)
             child = restructured(child, mutations[row], config.mutation, ledger)
             yield child, tuple(genomes[one].genome_id for one in ids if one >= 0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from neatq_torch.genome.genes import GeneNumbers, Genes
 from neatq_torch.genome.genome import Genome
-from neatq_torch.genome.heredity import crossed
+from neatq_torch.genome.heredity import LINK_GENE, NODE_GENE, Packed, crossed
 from neatq_torch.genome.rules import GenomeError
 from neatq_torch.kinds import check_fields
 
@@ -40,6 +40,15 @@ class CrossoverConfig:
         return float(self.inherit_disabled_prob), self.copy_disabled
 
 
+def packed(genes: Genes) -> Packed:
+    """The same genes as the compiled code of breeding takes them."""
+    links, nodes = np.empty(genes.weight.size, LINK_GENE), np.empty(genes.kind.size, NODE_GENE)
+    for records in (links, nodes):
+        for name in records.dtype.names or ():
+            records[name] = getattr(genes, name)
+    return links, nodes
+
+
 def first_is_fitter(
     first: Genome, second: Genome, first_fitness: float, second_fitness: float
 ) -> bool:
@@ -65,7 +74,7 @@ def multipoint(
     check_mates(first, second)
     fitter, other = (first, second) if first_fitter else (second, first)
     how = bool(first_fitter), average, config.keep_all_genes, config.shares
-    made = crossed(rng, fitter.genes, other.genes, *how)
+    made = crossed(rng, packed(fitter.genes), packed(other.genes), *how)
     return with_genes(fitter, other, first.genome_id, *made)
 
 
@@ -80,21 +89,24 @@ def check_mates(first: Genome, second: Genome) -> None:
 
 
 def with_genes(
-    fitter: Genome, other: Genome, genome_id: int, genes: Genes, new: GeneNumbers, joined: bool
+    fitter: Genome, other: Genome, genome_id: int, genes: Packed, new: GeneNumbers, joined: bool
 ) -> Genome:
     """Return the genome of the fitter parent with what `crossed` made of it and the other one."""
-    own = {"genome_id": genome_id, "link_weight": genes.weight, "link_enabled": genes.enabled}
+    links, nodes = genes
+    weight, enabled = links["weight"].copy(), links["enabled"].copy()
+    own = {"genome_id": genome_id, "link_weight": weight, "link_enabled": enabled}
     if not joined:
         return fitter.unchecked(**own)
-    nodes = {"node_id": genes.node_id, "node_kind": genes.kind}
+    node_id, source, target = nodes["node_id"], links["source"].copy(), links["target"].copy()
     activation = np.concatenate((fitter.node_activation, other.node_activation[new]))
+    grown = {"node_id": node_id.copy(), "node_kind": nodes["kind"].copy()}
     return fitter.unchecked(
         **own,
-        **(nodes | {"node_activation": activation} if new.size else {}),
-        link_innovation=genes.innovation,
-        link_source=genes.node_id[genes.source],
-        link_target=genes.node_id[genes.target],
-        link_recurrent=genes.recurrent,
-        source_index=genes.source,
-        target_index=genes.target,
+        **(grown | {"node_activation": activation} if new.size else {}),
+        link_innovation=links["innovation"].copy(),
+        link_source=node_id[source],
+        link_target=node_id[target],
+        link_recurrent=links["recurrent"].copy(),
+        source_index=source,
+        target_index=target,
     )

@@ -73,7 +73,7 @@ def first_compatible(
     links = np.array([genome.link_weight.size for genome in everybody])
     innovation = np.concatenate([genome.link_innovation for genome in everybody])
     weight = np.concatenate([genome.link_weight for genome in everybody])
-    genes = innovation, weight, links.cumsum() - links, links
+    genes = *_frozen(innovation, weight), links.cumsum() - links, links
     leaders, order = np.split(np.arange(len(everybody)), [len(representatives)])
     group = np.concatenate([leaders, np.full(order.size, -1)])
     starts = np.arange(leaders.size + 1)
@@ -140,7 +140,7 @@ class LinkTable:
         old = np.full(self.links.size, -1)
         old[slots] = np.repeat(np.arange(len(groups)), sizes)
         rows = np.arange(self.links.size) * self.innovation.shape[1]
-        genes = self.innovation.ravel(), self.weight.ravel(), rows, self.links
+        genes = *_frozen(self.innovation.ravel(), self.weight.ravel()), rows, self.links
         group, measure = old.copy(), (float(threshold), config.coefficients)
         moved = _regroup(order, group, slots, starts, genes, measure, self._leaders, self._apart)
         if not moved.size:
@@ -149,7 +149,13 @@ class LinkTable:
         return [slots[group[slots] == one] for one in range(max(len(groups), group.max() + 1))]
 
 
-@cached_njit()
+def _frozen(innovation: Markings, weight: Weights) -> tuple[Markings, Weights]:
+    """The same, read-only as those of a genome, so that `_distance` is compiled only once."""
+    innovation.flags.writeable = weight.flags.writeable = False
+    return innovation, weight
+
+
+@cached_njit(no_cfunc_wrapper=True)
 def _distance(
     own: Markings,
     own_weight: Weights,
@@ -188,7 +194,7 @@ def _distance(
     return counted + weight * gaps / max(matches, 1)
 
 
-@cached_njit()
+@cached_njit(no_cfunc_wrapper=True)
 def _regroup(
     order: Slots,
     group: Slots,
@@ -206,16 +212,15 @@ def _regroup(
     measure is threshold and coefficients. The first groups have in `apart` [groups, slots], where
     known, everybody's distance from the slot in `leaders` [groups]; both are kept up to date.
     """
-    threshold, coefficients = measure
+    (threshold, coefficients), groups = measure, starts.size - 1
     innovation, weight, begin, links = genes
-    groups = starts.size - 1
-    leader = np.full(groups + order.size, -1)
-    leader[:groups] = members[starts[:-1]]
+    leader = np.empty(groups + order.size, np.int64)
+    for home in range(groups):
+        leader[home] = members[starts[home]]
     moved, moves = np.empty(order.size, np.int64), 0
     for slot in order:
         at, end = begin[slot], begin[slot] + links[slot]
-        own, own_weight = innovation[at:end], weight[at:end]
-        home = 0
+        own, own_weight, home = innovation[at:end], weight[at:end], 0
         while home < groups:
             first = leader[home]
             if first >= 0:
@@ -243,8 +248,9 @@ def _regroup(
         moves += 1
         if old >= 0 and leader[old] == slot:
             # Only old groups lose members: who has moved once stays where it is.
-            leader[old] = -1
-            for next_one in np.append(members[starts[old] : starts[old + 1]], moved[:moves]):
+            leader[old], size = -1, starts[old + 1] - starts[old]
+            for at in range(size + moves):
+                next_one = members[starts[old] + at] if at < size else moved[at - size]
                 if group[next_one] == old:
                     leader[old] = next_one
                     break

@@ -30,21 +30,6 @@ class Genes(NamedTuple):
     kind: NDArray[np.uint8]
 
 
-class Herd(NamedTuple):
-    """Those who breed in a generation, one species behind the other, for compiled code.
-
-    `links` and `nodes`, int64 [genomes + 1], tell where those of each genome begin and end in
-    `genes`; `homes`, int64 [species + 1], where each species begins and ends.
-    """
-
-    genes: Genes
-    links: GeneNumbers
-    nodes: GeneNumbers
-    genome_id: GeneNumbers
-    fitness: NDArray[np.float64]
-    homes: GeneNumbers
-
-
 class Rates(NamedTuple):
     """The settings of `MutationConfig` as compiled code takes them."""
 

@@ -10,15 +10,17 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from neatq_torch.genome.crossover import packed
 from neatq_torch.genome.genes import Rates
 from neatq_torch.genome.genome import Genome
 from neatq_torch.genome.heredity import (
+    LINK_GENE,
     NODE,
     NOTHING,
     RECURRENT,
     REMOVED,
     WEIGHTS,
-    mutated_copy,
+    conceived,
     shake,
 )
 from neatq_torch.genome.innovation import InnovationLedger
@@ -36,6 +38,9 @@ from neatq_torch.kinds import check_fields
 WeightScheme = Literal["opennero", "uniform"]
 
 _ENDS = {"source_index": np.intp, "target_index": np.intp}
+
+_NO_MATING = 0.0, 0.0, False, (0.0, False), (0.0, 0.0, 0.0, 0.0)
+"""What `conceived` does not read for one parent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,10 +122,12 @@ def mutate(
 
     The genome itself comes back if nothing is found in `split_tries` or `new_link_tries` tries.
     """
-    genes, mutation = mutated_copy(rng, genome.genes, config.rates)
+    genes, means = packed(genome.genes), (*_NO_MATING, config.rates)
+    (links, _), _, _, mutation = conceived(rng, genes, genes, (False, True, False, False), means)
     if mutation[0] == WEIGHTS:
-        check_weights(genome.link_innovation, genes.weight)
-        return genome.unchecked(link_weight=genes.weight, link_enabled=genes.enabled)
+        weight, enabled = links["weight"].copy(), links["enabled"].copy()
+        check_weights(genome.link_innovation, weight)
+        return genome.unchecked(link_weight=weight, link_enabled=enabled)
     return restructured(genome, mutation, config, ledger)
 
 
@@ -142,9 +149,10 @@ def mutated_weights(
     weights: NDArray[np.float32], config: MutationConfig, rng: np.random.Generator
 ) -> NDArray[np.float32]:
     """Weights [links] after one mutation of weights; those of disabled links mutate too."""
-    new = weights.copy()
-    shake(rng, new, config.rates)
-    return new
+    links = np.zeros(weights.size, LINK_GENE)
+    links["weight"] = weights
+    shake(rng, links, config.rates)
+    return links["weight"].copy()
 
 
 def _with_node(
