@@ -29,5 +29,9 @@ class Sleeping(gymnasium.Env[np.ndarray, np.ndarray]):
 
 
 gymnasium.register(
-    "Sleeping-v0", Sleeping, max_episode_steps=1000, disable_env_checker=True, order_enforce=False
+    "Sleeping-v0",
+    "benchmarks.sleeping:Sleeping",
+    max_episode_steps=1000,
+    disable_env_checker=True,
+    order_enforce=False,
 )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from neatq_envs.processes import Remote, usable_cores, wait_for
@@ -59,7 +59,8 @@ class Machines(Protocol):
         Args:
             make: Makes it. What that raises the first `answer` raises.
             arguments: Of `make`.
-            together: How many objects must live at the same time, however few cores there are.
+            together: How many objects must live at the same time, however few cores there are; 0
+                for those who work while others rest that have the cores.
         """
         ...
 
@@ -93,13 +94,19 @@ class Crew:
 
     size: int = 1
     machines: Machines = field(default_factory=ThisMachine)
+    rested_for: bool = False
+
+    @property
+    def beside(self) -> Crew:
+        """Others who work while these rest, and so need no cores of their own."""
+        return replace(self, rested_for=True)
 
     def open(self, make: Callable[..., Any], *arguments: Any) -> list[Distant]:
         """Make an object for each of the crew."""
-        opened = []
+        opened, together = [], 0 if self.rested_for else self.size
         try:
             for _ in range(self.size):
-                opened.append(self.machines.open(make, *arguments, together=self.size))
+                opened.append(self.machines.open(make, *arguments, together=together))
         except BaseException:
             for one in opened:
                 one.close()

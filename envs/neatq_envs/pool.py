@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import platform
 import traceback
 from collections import Counter, deque
@@ -49,10 +50,24 @@ class Hand:
     def do(self, task: Any) -> tuple[Any, Exception | None]:
         """What comes of a task, or what it raises."""
         try:
-            return self._work(task), None
+            answer = self._work(task)
+            pickle.dumps(answer)
+            return answer, None
         except Exception as error:
             error.add_note(traceback.format_exc())
-            return None, error
+            return None, _sendable(error)
+
+
+def _sendable(error: Exception) -> Exception:
+    """An error that can go to another process, which not every one can."""
+    try:
+        pickle.loads(pickle.dumps(error))
+        return error
+    except Exception:
+        told = RuntimeError(f"{type(error).__name__}: {error}")
+        for note in error.__notes__:
+            told.add_note(note)
+        return told
 
 
 class _Hired:
@@ -82,6 +97,10 @@ class Pool:
             if self._waiting and one.host is not None and one.task is None:
                 one.task = self._waiting.popleft()
                 hand.ask("do", one.task)
+        for hand, one in list(self._hands.items()):
+            if one.host is not None and one.task is None:  # nothing waits for it
+                del self._hands[hand]
+                hand.close()
         busy = [hand for hand, one in self._hands.items() if one.host is None or one.task]
         came = [self._took(hand) for hand in self._machines.answering(busy, seconds)]
         return [outcome for outcome in came if outcome is not None]

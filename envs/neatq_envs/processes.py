@@ -53,7 +53,7 @@ class Remote:
         with _signals_blocked():
             self._process.start()
         far_end.close()
-        self._under_way = 0
+        self._begun, self._under_way = False, 0
         self._send((make, arguments))
 
     def ask(self, method: str, *arguments: Any) -> None:
@@ -70,15 +70,16 @@ class Remote:
             raise ProcessEnded(
                 f"{_end(self._process.exitcode)}; what is on disk is intact"
             ) from error
+        self._begun = True
+        self._under_way -= 1
         if isinstance(answer, Exception):
             raise answer
-        self._under_way -= 1
         return answer
 
     def close(self) -> None:
         """End the process, at once if it is at work."""
         self.pipe.close()
-        if not self._under_way:
+        if self._begun and not self._under_way:
             self._process.join(_END_SECONDS)
         self._process.kill()  # it has nothing to tidy up, and an environment may ignore SIGTERM
         self._process.join()
@@ -184,12 +185,21 @@ def _serve(pipe: Connection) -> None:
         gc.freeze()
         while True:
             method, arguments = _receive(pipe)
-            _send(pipe, getattr(served, method)(*arguments))
+            _send(pipe, _answer(served, method, arguments))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
     except Exception as error:
         error.add_note(traceback.format_exc())
         _send(pipe, error)
+
+
+def _answer(served: Any, method: str, arguments: Any) -> Any:
+    """What a method returns, or what it raises."""
+    try:
+        return getattr(served, method)(*arguments)
+    except Exception as error:
+        error.add_note(traceback.format_exc())
+        return error
 
 
 def _send(pipe: Connection, message: Any) -> None:

@@ -51,8 +51,8 @@ class Actor:
 
     def call(self, request: bytes) -> bytes:
         """What a method returns, or an exception."""
-        method, arguments = pickle.loads(request)
         try:
+            method, arguments = pickle.loads(request)
             answer = self._error or getattr(self._made, method)(*arguments)
         except Exception as error:
             answer = _noted(error)
@@ -143,13 +143,16 @@ def fitting_share(cores: Sequence[float], objects: int) -> float:
 
     Args:
         cores: Of each machine.
-        objects: How many there are; none of them may stand on two machines.
+        objects: How many there are; none of them may stand on two machines. 0: they rest meanwhile
+            for whom this is asked.
     """
+    if not objects:
+        return 0.0
     shares = {1.0} | {one / count for one in cores for count in range(1, objects + 1)}
     for share in sorted((one for one in shares if one <= 1.0), reverse=True):
         if sum(int(one / share + 1e-9) for one in cores) >= objects:
             return math.floor(1e4 * share) / 1e4  # Ray counts in these
-    return 0.0  # there is no machine yet
+    return 1.0  # there is no machine yet
 
 
 @contextmanager
@@ -166,7 +169,9 @@ def connected(address: str) -> Iterator[RayCluster]:
         ends = signal.getsignal(signal.SIGTERM)
         context: Any = ray.init(address, runtime_env=_surroundings(), **quiet)
         if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, ends)  # Ray would end without a checkpoint
+            signal.signal(
+                signal.SIGTERM, ends or signal.SIG_DFL
+            )  # Ray would end without a checkpoint
     except (ConnectionError, RuntimeError, ValueError, RayError) as error:
         words = str(error).strip().partition("\n")[0]
         raise ClusterError(f"cluster: no Ray at {address}: {words}") from error
@@ -196,7 +201,8 @@ def _noted_address() -> str:
 def _check_address(address: str) -> None:
     """Refuse an address at which nobody listens, for which Ray itself would wait for minutes."""
     if address == "auto":
-        address = os.environ.get("RAY_ADDRESS") or _noted_address() or "local"
+        address = os.environ.get("RAY_ADDRESS", "auto")
+        address = _noted_address() or "local" if address == "auto" else address
     if address == "local":
         return
     parts = urlsplit(address if "://" in address else f"//{address}")

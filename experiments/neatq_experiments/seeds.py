@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -19,7 +20,7 @@ from neatq_envs.processes import ProcessEnded
 from neatq_experiments.storage import mirrored
 from neatq_torch.atomic import write_atomic
 from neatq_trainers.config import RunConfig
-from neatq_trainers.folder import CHECKPOINT, RunFolderError
+from neatq_trainers.folder import CHECKPOINT, RunFolderError, load_run
 from neatq_trainers.train import resume, start
 
 LOOK_SECONDS = 1.0
@@ -88,15 +89,18 @@ class Spread:
 def run_seeds(task: SeedTask, config: RunConfig) -> Path:
     """Run a configuration over the seeds of a task, side by side; go on if it was interrupted.
 
+    What is there of another configuration is removed.
+
     Returns:
         The folder of the run; its arena i has the seed `task.seeds[0] + i`.
     """
-    folder = seeds_folder(task)
-    if (folder / CHECKPOINT).exists():
+    folder, first, last = seeds_folder(task), task.seeds[0], task.seeds[-1]
+    wanted = replace(config, arenas=last - first + 1, seed=first)
+    if (folder / CHECKPOINT).exists() and load_run(folder).config == wanted:
         resume(folder, workers=1)
-    else:
-        first, last = task.seeds[0], task.seeds[-1]
-        start(replace(config, arenas=last - first + 1, seed=first), folder)
+        return folder
+    shutil.rmtree(folder, ignore_errors=True)  # of another run, or without a checkpoint
+    start(wanted, folder)
     return folder
 
 
@@ -109,6 +113,7 @@ def run_missing(
     runs: Runs, folder: Path, *, seeds: int, quick: bool, spread: Spread, begin: int = 0
 ) -> None:
     """Run so many seeds of all arms, from `begin` on, that have no result in the folder yet."""
+    folder = folder.absolute()  # machines of a cluster stand elsewhere
     missing = tasks(runs, folder, seeds=seeds, quick=quick, begin=begin)
     if missing:
         _run(runs, missing, spread)
@@ -157,7 +162,7 @@ def _run(runs: Runs, tasks: list[SeedTask], spread: Spread) -> None:
     """Run all tasks; the first error is raised when all others are finished."""
     errors: list[BaseException] = []
     over, hosts = set[SeedTask](), Counter[str]()
-    begin = _Performer, runs.run, spread.storage
+    begin = _Performer, runs.run, storage_of(runs, tasks[0], spread)
     with _progress(runs, tasks) as bar, open_machines(spread.cluster) as machines:
         if machines.dashboard:
             print(f"neatq: {runs.name}: dashboard of Ray at {machines.dashboard}", file=sys.stderr)
@@ -180,6 +185,14 @@ def _run(runs: Runs, tasks: list[SeedTask], spread: Spread) -> None:
             bar.refresh()
     if errors:
         raise errors[0]
+
+
+def storage_of(runs: Runs, task: SeedTask, spread: Spread) -> str | None:
+    """Where an experiment mirrors its tasks, quick ones apart."""
+    if spread.storage is None:
+        return None
+    there = spread.storage if "://" in spread.storage else str(Path(spread.storage).absolute())
+    return f"{there.rstrip('/')}/{runs.name}-{'quick' if task.quick else 'full'}"
 
 
 def _lost_and_done(runs: Runs, outcome: Outcome) -> str:

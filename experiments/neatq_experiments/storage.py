@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -44,7 +45,8 @@ def mirrored(folder: Path, storage: str | None) -> Iterator[Path]:
         finally:
             over.set()
             pushing.join()
-        mirror.remove()
+        with suppress(Exception):  # the work is done: what stays there harms nobody
+            mirror.remove()
 
 
 class Mirror:
@@ -62,29 +64,38 @@ class Mirror:
             self._there.get(f"{self._path}/", f"{self.folder}/", recursive=True)
 
     def push(self) -> None:
-        """Copy what has changed: checkpoints before what is written beside them.
+        """Copy what has changed, and checkpoints, as they were before that, last.
 
-        Then what lies beside a checkpoint is as new, or newer, as after a process was killed.
+        So at any moment what lies there beside a checkpoint is as new, or newer, as after a process
+        was killed.
         """
-        files = [path for path in self.folder.rglob("*") if path.is_file()]
-        for path in sorted(files, key=lambda path: path.name != CHECKPOINT):
-            try:
-                changed = path.stat().st_mtime_ns
-                if self._pushed.get(path) != changed:
-                    there = f"{self._path}/{path.relative_to(self.folder).as_posix()}"
-                    self._there.makedirs(there.rpartition("/")[0], exist_ok=True)
-                    self._there.put_file(str(path), there)
-                    self._pushed[path] = changed
-            except FileNotFoundError:  # a temporary one, gone by now
-                continue
+        with TemporaryDirectory(prefix="neatq-") as aside:
+            files = [path for path in self.folder.rglob("*") if path.is_file()]
+            for path in sorted(files, key=lambda path: path.name != CHECKPOINT):
+                with suppress(FileNotFoundError):  # a temporary one, gone by now
+                    changed = path.stat().st_mtime_ns
+                    if self._pushed.get(path) != changed:
+                        copy = Path(aside, path.relative_to(self.folder))
+                        copy.parent.mkdir(parents=True, exist_ok=True)
+                        shutil.copyfile(path, copy)
+                        self._pushed[path] = changed
+            copies = [path for path in Path(aside).rglob("*") if path.is_file()]
+            for copy in sorted(copies, key=lambda path: path.name == CHECKPOINT):
+                self._put(copy, f"{self._path}/{copy.relative_to(aside).as_posix()}")
+
+    def _put(self, copy: Path, there: str) -> None:
+        """Copy a file, whole or not at all where a storage can rename."""
+        self._there.makedirs(there.rpartition("/")[0], exist_ok=True)
+        self._there.put_file(str(copy), f"{there}.part")
+        self._there.mv(f"{there}.part", there)
 
     def push_until(self, over: threading.Event) -> None:
         """Copy what has changed now and then; a storage that is away is tried again."""
         while not over.wait(MIRROR_SECONDS):
             try:
                 self.push()
-            except OSError:
-                continue
+            except Exception:  # each kind of storage has errors of its own
+                self._pushed.clear()
 
     def remove(self) -> None:
         """Remove the copy."""

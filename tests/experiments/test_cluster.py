@@ -18,7 +18,15 @@ import pytest
 from neatq_envs.machines import ClusterError, open_machines
 from neatq_envs.processes import ProcessEnded
 from neatq_experiments import storage
-from neatq_experiments.seeds import Result, Runs, SeedTask, Spread, read_results, run_missing
+from neatq_experiments.seeds import (
+    Result,
+    Runs,
+    SeedTask,
+    Spread,
+    read_results,
+    run_missing,
+    storage_of,
+)
 from neatq_experiments.storage import Mirror, mirrored
 from neatq_trainers.folder import CHECKPOINT
 
@@ -163,29 +171,81 @@ def test_with_a_storage_the_folder_of_a_study_has_results_alone(tmp_path: Path) 
     assert sorted(one.name for one in out.rglob("*")) == ["a", "seed-0.json", "seed-1.json"]
 
 
-def test_checkpoints_are_mirrored_before_what_lies_beside_them(
+def test_checkpoints_are_mirrored_after_what_lies_beside_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    work, order = tmp_path / "work", []
-    mirror = Mirror(work, f"file://{tmp_path}/there")
+    """As they were before: rows that came meanwhile are cut off when a run goes on."""
+    work, order = tmp_path / "work/run", []
+    mirror = Mirror(tmp_path / "work", f"file://{tmp_path}/there")
+    work.mkdir(parents=True)
     for name in ("a.csv", CHECKPOINT, "z.csv"):
-        (work / "run").mkdir(parents=True, exist_ok=True)
-        (work / "run" / name).write_text(name)
-    put = mirror._there.put_file
+        (work / name).write_text(f"old {name}")
+    move = mirror._there.mv
 
     def noted(one: str, two: str) -> None:
-        order.append(Path(one).name)
-        put(one, two)
+        order.append(Path(two).name)
+        (work / CHECKPOINT).write_text("new")
+        move(one, two)
 
-    monkeypatch.setattr(mirror._there, "put_file", noted)
+    monkeypatch.setattr(mirror._there, "mv", noted)
     mirror.push()
-    mirror.push()  # nothing has changed
-    assert order[0] == CHECKPOINT
-    assert sorted(order[1:]) == ["a.csv", "z.csv"]
+    assert (sorted(order[:2]), order[2]) == (["a.csv", "z.csv"], CHECKPOINT)
     again = Mirror(tmp_path / "again", f"file://{tmp_path}/there")
     again.folder.mkdir()
     again.fetch()
-    assert (tmp_path / "again/run/z.csv").read_text() == "z.csv"
+    assert (tmp_path / "again/run" / CHECKPOINT).read_text() == f"old {CHECKPOINT}"
+    assert not list((tmp_path / "there").rglob("*.part"))
+    order.clear()
+    mirror.push()
+    assert order == [CHECKPOINT], "nothing else has changed"
+
+
+def test_a_storage_that_fails_is_tried_again_and_never_costs_what_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(storage, "MIRROR_SECONDS", 0.01)
+    push, fails = Mirror.push, [RuntimeError("no network"), RuntimeError("no network")]
+
+    def sometimes(mirror: Mirror) -> None:
+        if fails:
+            raise fails.pop()
+        push(mirror)
+
+    monkeypatch.setattr(Mirror, "push", sometimes)
+    monkeypatch.setattr(Mirror, "remove", lambda _: 1 / 0)
+    there = tmp_path / "bucket/a/work-0/lines.csv"
+    with mirrored(tmp_path / "out/a/work-0", str(tmp_path / "bucket")) as folder:
+        (folder / there.name).write_text("line")
+        while not there.is_file():
+            time.sleep(0.01)
+
+
+def test_a_storage_keeps_experiments_and_quick_ones_apart(tmp_path: Path) -> None:
+    task, spread = SeedTask("a", (0,), True, tmp_path / "a/work-0"), Spread(storage="s3://bucket/")
+    assert storage_of(SQUARES, task, spread) == "s3://bucket/squares-quick"
+    full = task._replace(quick=False)
+    assert storage_of(SQUARES, full, replace(spread, storage="b")) == f"{Path.cwd()}/b/squares-full"
+    assert storage_of(SQUARES, full, Spread()) is None
+
+
+class NeedsTwo(Exception):
+    """Its arguments are not those of `Exception`, so it cannot be read back."""
+
+    def __init__(self, one: int, two: int) -> None:
+        super().__init__(f"{one} and {two}")
+
+
+def fail_strangely(task: SeedTask) -> list[Result]:
+    if 1 in task.seeds:
+        raise NeedsTwo(1, 2)
+    return squares(task)
+
+
+def test_an_error_that_cannot_be_sent_is_told_and_stops_nobody(tmp_path: Path) -> None:
+    strange = replace(SQUARES, arms=("a",), run=fail_strangely)
+    with pytest.raises(RuntimeError, match="NeedsTwo: 1 and 2"):
+        run_missing(strange, tmp_path, seeds=3, quick=False, spread=Spread(jobs=1))
+    assert [one["seed"] for one in read_results(strange, tmp_path, 3)["a"]] == [0, 2]
 
 
 @pytest.mark.parametrize(

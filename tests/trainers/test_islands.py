@@ -13,9 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import neatq_torch as nq
+from neatq_torch.evolution import RtNEAT
 from neatq_torch.genome import InnovationLedger
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.build import build
+from neatq_trainers.changes import _not_given
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import CHAMPION, METRICS
 from neatq_trainers.islands import emigrants, immigrate
@@ -78,6 +80,11 @@ def test_numbers_of_two_islands_never_meet() -> None:
     assert again.link(2, 3, False, 0.0).innovation == 19
 
 
+def evolving(run: Run) -> list[RtNEAT]:
+    """Its populations, which are of this kind."""
+    return [one for one in run.populations if isinstance(one, RtNEAT)]
+
+
 def trained(config: RunConfig, ticks: int) -> Run:
     run = build(config)
     for stride in strides(run):
@@ -89,7 +96,7 @@ def trained(config: RunConfig, ticks: int) -> Run:
 def test_the_fittest_go_and_the_worst_make_room(config: RunConfig) -> None:
     run = trained(config, 320)
     ids = [[genome.genome_id for genome in one.genomes] for one in run.populations]
-    scores = [one.score.copy() for one in run.populations]
+    scores = [one.score.copy() for one in evolving(run)]
     leaving = emigrants(run, MigrationConfig(emigrants=2), 0)
     for population, own, score in zip(run.populations, leaving, scores, strict=True):
         judged = np.flatnonzero(population.eligible)
@@ -144,6 +151,34 @@ def test_without_migration_arenas_are_other_runs(
     assert not same(whole, tmp_path / "run")
 
 
+def test_where_all_are_protected_nobody_arrives(config: RunConfig) -> None:
+    run = trained(config, 320)
+    population = evolving(run)[0]
+    population.protected |= {one.genome_id for one in population.genomes}
+    before = [one.genome_id for one in population.genomes]
+    immigrate(run, arrivals(emigrants(run, MigrationConfig(), 0), [[2], [0], [1]]))
+    assert [one.genome_id for one in population.genomes] == before
+
+
+def test_exploration_changes_in_any_number_of_processes(tiny: Tiny, tmp_path: Path) -> None:
+    config = tiny("replay", arenas=2, ticks=320, migration=EVERY)
+    change = '{"tick": 160, "change": {"kind": "exploration", "epsilon": 0.5}}\n'
+    (tmp_path / "changes.jsonl").write_text(change)
+    for workers in (1, 2):
+        out = tmp_path / f"run{workers}"
+        start(config, out, workers=workers, changes=tmp_path / "changes.jsonl")
+    assert same(tmp_path / "run1", tmp_path / "run2")
+
+
+def test_a_team_with_immigrants_is_of_this_run(config: RunConfig) -> None:
+    run = trained(config, 320)
+    first, second = run.populations[:2]
+    own, genome = first.ledger.next_node_id, second.genomes[0]
+    theirs = own + 10 * MOST_ISLANDS + 1  # the second island has found more
+    assert not _not_given(np.append(genome.node_id, theirs), own, MOST_ISLANDS)
+    assert _not_given(np.append(genome.node_id, own), own, MOST_ISLANDS)
+
+
 @pytest.mark.slow
 def test_what_comes_from_other_islands_breeds(tiny: Tiny) -> None:
     """Genes with numbers of several islands stand in one genome, each number with one meaning."""
@@ -152,7 +187,7 @@ def test_what_comes_from_other_islands_breeds(tiny: Tiny) -> None:
     mixed = 0
     for stride in strides(run):
         if stride.tick % 80 == 0:
-            immigrate(run, arrivals(emigrants(run, config.migration, 0), [[1], [0]]))
+            immigrate(run, arrivals(emigrants(run, MigrationConfig(), 0), [[1], [0]]))
         if stride.tick >= 2000:
             break
     for population in run.populations:
@@ -172,6 +207,7 @@ def test_what_comes_from_other_islands_breeds(tiny: Tiny) -> None:
         ({"arenas": 1}, "arenas: expected 2 to 1024 islands, got 1"),
         ({"migration": {"emigrants": 9}}, r"fewer to arrive .* than there are robots \(9\), got 9"),
         ({"migration": {"topology": "star"}}, "topology"),
+        ({"migration": {"every_ticks": 5}}, "every_ticks: expected at least 40"),
         ({"population.kind": "neat"}, "replaced one by one"),
     ],
 )

@@ -136,10 +136,26 @@ def test_a_run_goes_on_on_another_cluster_or_without_one(
 
 
 def test_environments_are_dealt_to_a_cluster(nodes: Nodes, tiny_walk: Tiny, tmp_path: Path) -> None:
-    config = tiny_walk("neat+q", generations=3)
+    """Also where two sets of them are needed, and the first has taken all cores."""
+    config = tiny_walk("rtneat", steps=400, batch_ticks=7)
     start(config, tmp_path / "one")
     start(config, tmp_path / "two", workers=2, cluster=nodes.address)
     assert same(tmp_path / "one", tmp_path / "two")
+
+
+def test_a_signal_ends_a_run_that_loses_a_worker_meanwhile(
+    config: RunConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lose(*_: object) -> None:
+        raise ProcessEnded("gone")
+
+    def interrupt() -> None:
+        signal.raise_signal(signal.SIGINT)
+        monkeypatch.setattr("neatq_trainers.workers.LocalWorker.snapshot", lose)
+
+    monkeypatch.setattr(ThisMachine, "elastic", True)
+    with pytest.raises(KeyboardInterrupt):
+        start(config, tmp_path / "run", workers=1, callbacks=[Late(80, interrupt)])
 
 
 def test_who_is_lost_again_and_again_ends_the_run(
@@ -166,7 +182,8 @@ def test_who_is_lost_again_and_again_ends_the_run(
         ([1, 1], 3, 0.5),  # not 2 / 3: two of them need a core each
         ([3, 1], 5, 0.75),  # four on the first, one on the second
         ([2], 64, 0.0312),
-        ([], 2, 0.0),
+        ([], 2, 1.0),  # whoever is asked for now waits for a machine
+        ([1, 1], 0, 0.0),
     ],
 )
 def test_all_objects_find_room(cores: list[float], objects: int, share: float) -> None:

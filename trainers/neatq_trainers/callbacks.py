@@ -18,7 +18,7 @@ from neatq_trainers.run import Run
 
 if TYPE_CHECKING:
     from neatq_trainers.changes import AnyChange
-    from neatq_trainers.train import Session
+    from neatq_trainers.session import Session
 
 LOGS = "logs"
 """The folder of loggers in a run folder."""

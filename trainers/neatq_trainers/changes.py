@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from neatq_envs.checks import ScenarioError
 from neatq_envs.nero.scenario import REWARD_NAMES, NeroScenario, Stage, find_nero
@@ -127,7 +128,8 @@ class ChangeExploration(Change, frozen=True, tag="exploration"):
         """See `Change`."""
         assert isinstance(run.policy, CandidatePolicy)
         run.policy.exploration.epsilon.fill_(self.epsilon)
-        run.config = run.config.changed({"learner.epsilon": self.epsilon})  # which rows tell
+        learner = replace(run.config.learner, epsilon=self.epsilon)  # which rows tell
+        run.config = run.config.unchecked(learner=learner)
 
 
 class _OfRobot(Change, frozen=True):
@@ -208,8 +210,8 @@ class LoadTeam(Change, frozen=True, tag="team"):
         for genome in genomes:
             strange = genome.interface != first.interface
             strange |= genome.observation_schema != first.observation_schema
-            strange |= bool(genome.node_id.max() >= ledger.next_node_id)
-            if strange or genome.link_innovation.max(initial=0) >= ledger.next_innovation:
+            strange |= _not_given(genome.node_id, ledger.next_node_id, ledger.step)
+            if strange or _not_given(genome.link_innovation, ledger.next_innovation, ledger.step):
                 raise ConfigError("team: not of this run; only teams that it saved can be loaded")
 
     def make(self, run: Run) -> None:
@@ -270,6 +272,12 @@ def present_weights(run: Run) -> dict[str, float]:
     if isinstance(arena.scenario, NeroScenario):
         return dict(zip(REWARD_NAMES, arena.weights.tolist(), strict=True))
     return dict(arena.scenario.reward_weights)
+
+
+def _not_given(numbers: NDArray[Any], following: int, step: int) -> bool:
+    """Whether there are numbers that a ledger has not given yet; those of other islands are not."""
+    own = numbers[numbers % step == following % step]
+    return bool(own.max(initial=0) >= following)
 
 
 def _check_slots(run: Run, *slots: int) -> None:

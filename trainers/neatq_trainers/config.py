@@ -178,6 +178,11 @@ class RunConfig:
             )
         if not 2 <= self.arenas <= MOST_ISLANDS:
             raise ConfigError(f"arenas: expected 2 to {MOST_ISLANDS} islands, got {self.arenas}")
+        if migration.every_ticks < self.stride_ticks:
+            raise ConfigError(
+                f"migration.every_ticks: expected at least {self.stride_ticks}, as a run stops so "
+                f"often, got {migration.every_ticks}"
+            )
         sources = self.arenas - 1 if migration.topology == "all" else 1
         slots, arriving = self.world.slots or 0, sources * migration.emigrants
         if arriving >= slots:
@@ -300,12 +305,14 @@ class RunConfig:
     def split(self, parts: int) -> list[RunConfig]:
         """The run as several runs, each with a part of its arenas."""
         borders = pairwise([*self.first_arenas(parts), self.arenas])
-        return [self._part(first, end) for first, end in borders]
+        return [
+            self.unchecked(arenas=end - first, seed=self.seed + first) for first, end in borders
+        ]
 
-    def _part(self, first: int, end: int) -> RunConfig:
-        """Some of its arenas, which are not checked to be enough islands."""
+    def unchecked(self, **changes: Any) -> RunConfig:
+        """A copy with other values by somebody who keeps the rules, or of a part of a run."""
         part = copy.copy(self)
-        part.__dict__.update(arenas=end - first, seed=self.seed + first)
+        part.__dict__.update(changes)
         return part
 
     def changed(self, changes: Mapping[str, Any]) -> RunConfig:

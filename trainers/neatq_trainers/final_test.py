@@ -13,7 +13,7 @@ from neatq_trainers.run import Champion
 from neatq_trainers.worlds import GymnasiumConfig, GymnasiumWorld, make_world
 
 if TYPE_CHECKING:
-    from neatq_trainers.train import Session
+    from neatq_trainers.session import Session
 
 
 def judge_champions(session: Session, champions: Sequence[Champion | None]) -> None:

@@ -40,7 +40,8 @@ def immigrate(run: Run, arriving: Travellers) -> None:
     replacements = []
     for population, genomes in zip(run.populations, arriving, strict=True):
         assert isinstance(population, RtNEAT)
-        replacements.append([population.adopt(genome) for genome in genomes])
+        protected = population.slots_of(population.protected).all()  # nobody makes room
+        replacements.append([population.adopt(one) for one in genomes if not protected])
     newborn = introduce(run, replacements)
     field_of(run).begin_lives(newborn.numpy())
     assert run.network is not None

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -27,7 +25,7 @@ from neatq_trainers.callbacks import (
     Report,
     TorchRLLogger,
 )
-from neatq_trainers.changes import REFUSALS, AnyChange, Recorded, read_record
+from neatq_trainers.changes import REFUSALS, Recorded, read_record
 from neatq_trainers.config import LENGTHS, RunConfig
 from neatq_trainers.effects import refuse_without_effect
 from neatq_trainers.final_test import judge_champions
@@ -38,6 +36,7 @@ from neatq_trainers.migration import arrivals, routes
 from neatq_trainers.names import file_name
 from neatq_trainers.rows import ReturnRow, Row
 from neatq_trainers.saved import best_score
+from neatq_trainers.session import Session
 from neatq_trainers.signals import ending_by_signals, noting_signals, raise_for
 from neatq_trainers.workers import Worker, fitting_workers, open_workers
 from neatq_trainers.worlds import facts_of
@@ -45,53 +44,6 @@ from neatq_trainers.worlds import facts_of
 STRIDES_AHEAD = 8
 """Strides that a worker may have under way, so that none waits for a slower one."""
 BUILT_IN = (MetricsFile, TorchRLLogger, ProgressBar, Checkpoints, Report)
-
-
-@dataclass(kw_only=True)
-class Session:
-    """A run while it trains.
-
-    Attributes:
-        config: What runs.
-        folder: Where the results go.
-        facts: Of a Gymnasium task.
-        lengths: How long the run is so far, by unit.
-        score: The best return of a champion in its evaluation.
-        stop: Set it to end the training in order; `resume` goes on.
-        wants_checkpoint: Set it to have a checkpoint written soon.
-        paused: Set it to let the run stand; `idle` of the callbacks is called until it goes on.
-        signals: Numbers of signals that are to end the training, as they come.
-        migrations: How many times arenas have exchanged genomes.
-        wanted: Changes that somebody asks for; each is made, or refused, when the run can stop.
-    """
-
-    config: RunConfig
-    folder: RunFolder
-    facts: EnvFacts | None
-    lengths: dict[str, int] = field(default_factory=lambda: dict.fromkeys(LENGTHS, 0))
-    score: float = -math.inf
-    stop: bool = False
-    wants_checkpoint: bool = False
-    paused: bool = False
-    signals: Sequence[int] = ()
-    migrations: int = 0
-    wanted: deque[AnyChange] = field(default_factory=deque)
-
-    @property
-    def done(self) -> int:
-        """How long the run is so far, in the unit of its length."""
-        return self.lengths[self.config.length[0]]
-
-    @property
-    def next_migration(self) -> float:
-        """The tick at which arenas exchange genomes next; inf: never."""
-        migration = self.config.migration
-        return math.inf if migration is None else migration.every_ticks * (self.migrations + 1)
-
-    @property
-    def over(self) -> bool:
-        """Whether the run has its length, or is solved."""
-        return self.done >= self.config.length[1] or self.config.solved_by(self.score)
 
 
 def train(  # noqa: PLR0913  (each is a setting of a run)
@@ -353,7 +305,7 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
     under_way, unsaved = 0, False
     for callback in callbacks:
         callback.start(session)
-    with noting_signals() as signals:
+    with noting_signals() as signals, _ending_by(signals):
         session.signals = signals
         while True:
             saving = session.stop or signals or (session.wants_checkpoint and unsaved)
@@ -387,6 +339,17 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
     judge_champions(session, [one for part in snapshots for one in part.champions])
     for callback in callbacks:
         callback.end(session)
+
+
+@contextmanager
+def _ending_by(signals: Sequence[int]) -> Iterator[None]:
+    """If a worker is lost after a signal that ends the run, then the signal has ended it."""
+    try:
+        yield
+    except ProcessEnded:
+        if signals:
+            raise_for(signals[0])
+        raise
 
 
 def _migrate(session: Session, workers: Sequence[Worker]) -> bool:

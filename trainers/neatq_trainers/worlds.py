@@ -269,7 +269,8 @@ class GymnasiumWorld(World):
         flat = [genome for genome in genomes for _ in range(seeds.shape[1])]
         if self._free is None:  # those of the run are in the middle of episodes
             task, renewed = self.config.task, self.facts.renewed
-            self._free, _ = make_rows(task, renewed=renewed, crew=self._crew)
+            crew = None if self._crew is None else self._crew.beside
+            self._free, _ = make_rows(task, renewed=renewed, crew=crew)
         episodes = EpisodeRows(self._free, self.config.id, lambda i: f"genome {flat[i].genome_id}")
         episodes.begin(Starts.given(seeds.reshape(-1, 1)))
         network = PopulationNetwork(flat, evaluation=evaluation)

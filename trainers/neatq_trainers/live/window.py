@@ -51,7 +51,7 @@ from neatq_trainers.live.server import Asked, Hub
 from neatq_trainers.nero.nero_world import NeroConfig
 from neatq_trainers.rows import Row, row_kind
 from neatq_trainers.run import Run
-from neatq_trainers.train import Session
+from neatq_trainers.session import Session
 from neatq_trainers.worlds import ArenaConfig, GymnasiumConfig
 
 TEAMS = "teams"

@@ -262,7 +262,7 @@ def _rows_of(
 ) -> Generator[MatchRow]:
     """The rows of matches, with several jobs in whichever order they are over."""
     jobs = usable_cores() if jobs is None and cluster is None else jobs
-    if cluster is None and min(jobs or 1, len(pairings)) < 2:
+    if not pairings or (cluster is None and min(jobs or 1, len(pairings)) < 2):
         yield from map(hall.row, pairings)
         return
     play = partial, hall.row
