@@ -104,11 +104,6 @@ def results(runs: Runs, folder: Path, spread: Spread, count: int = 4) -> Any:
     return read_results(runs, folder, count)
 
 
-def test_a_study_on_three_nodes_is_that_of_one_machine(nodes: Nodes, tmp_path: Path) -> None:
-    there = results(SQUARES, tmp_path / "there", Spread(cluster=nodes.address))
-    assert there == results(SQUARES, tmp_path / "here", Spread(jobs=1))
-
-
 def kill_in_the_middle(study: Path, nodes: Nodes) -> None:
     """Once three tasks have begun, kill a process and a node; then let all others go on."""
     while len(begun := sorted(study.glob("begun-*"))) < 3:
