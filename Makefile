@@ -25,8 +25,7 @@ KILLS ?= 50
 VENV := .venv
 # Windows has its programs elsewhere.
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
-# What is imported is compiled when it is first: of 24,000 files that are some.
-INSTALL := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable
+INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
 WHEEL_DIR := build/wheel
 
 # One thread for each test process: many small tensors, and the same sums in the same order.
