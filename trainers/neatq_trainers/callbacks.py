@@ -40,7 +40,7 @@ class Callback:
     """
 
     def start(self, session: Session) -> None:
-        """Training begins or goes on."""
+        """Training begins or goes on, as on a cluster after a machine was lost."""
 
     def batch(self, run: Run, batch: TensorDictBase, error: Tensor) -> None:
         """A batch [arenas, slots, ticks] was learnt from, and evolution was told of it."""
