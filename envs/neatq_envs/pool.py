@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Sequence
 from typing import Any, NamedTuple
 
 from neatq_envs.machines import Distant, Machines
-from neatq_envs.processes import MachinesLeft, ProcessEnded
+from neatq_envs.processes import ProcessEnded
 
 TRIES = 3
 """So often a task is begun whose process or machine was lost under it."""
@@ -51,7 +51,7 @@ class Hand:
         """What comes of a task, or what it raises."""
         try:
             answer = self._work(task)
-            pickle.dumps(answer)
+            pickle.dumps(answer)  # what cannot be sent is an error of the task, too
             return answer, None
         except Exception as error:
             error.add_note(traceback.format_exc())
@@ -83,7 +83,7 @@ class Pool:
     """Hands that do tasks; see `performed`."""
 
     def __init__(
-        self, machines: Machines, begin: Sequence[Any], tasks: Sequence[Any], jobs: int
+        self, machines: Machines, begin: Sequence[Any], tasks: Sequence[Any], jobs: int | None
     ) -> None:
         self._machines, self._begin, self._jobs = machines, begin, jobs
         self._waiting, self._tries = deque(tasks), Counter[Any]()
@@ -111,9 +111,11 @@ class Pool:
             hand.close()
 
     def _hire(self) -> None:
-        cores = self._machines.cores() if self._machines.elastic else self._jobs
+        most = cores = self._machines.cores()
+        if self._jobs is not None:
+            most = min(self._jobs, cores) if self._machines.elastic else self._jobs
         free = sum(one.task is None for one in self._hands.values())
-        wanted = min(self._jobs, cores) - len(self._hands)
+        wanted = most - len(self._hands)
         for _ in range(min(wanted, len(self._waiting) - free)):
             hand = self._machines.open(Hand)
             self._hands[hand] = _Hired()
@@ -141,7 +143,7 @@ class Pool:
         one = self._hands.pop(hand)
         hand.close()
         if one.host is None:
-            self._stillborn += not isinstance(error, MachinesLeft)
+            self._stillborn += 1
             if self._stillborn >= TRIES:
                 raise error
             return None
@@ -157,7 +159,7 @@ def performed(
     begin: Sequence[Any],
     tasks: Sequence[Any],
     *,
-    jobs: int,
+    jobs: int | None,
     seconds: float = 1.0,
 ) -> Generator[Outcome | None]:
     """What comes of tasks, in whichever order they are over; None where nothing was for a while.
@@ -170,7 +172,8 @@ def performed(
         begin: A callable that is called elsewhere with the rest as arguments; what it gives is
             called with each task.
         tasks: Hashable, no two equal, none false.
-        jobs: Most tasks at a time; on a cluster there are never more than cores.
+        jobs: Most tasks at a time; on a cluster there are never more than cores. None: one for each
+            core that there is.
         seconds: Time between two looks.
 
     Raises:

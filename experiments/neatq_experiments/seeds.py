@@ -166,9 +166,8 @@ def _run(runs: Runs, tasks: list[SeedTask], spread: Spread) -> None:
     with _progress(runs, tasks) as bar, open_machines(spread.cluster) as machines:
         if machines.dashboard:
             print(f"neatq: {runs.name}: dashboard of Ray at {machines.dashboard}", file=sys.stderr)
-        jobs = spread.jobs or machines.cores()
-        most = len(tasks) if machines.elastic and not spread.jobs else jobs
-        for outcome in performed(machines, begin, tasks, jobs=most, seconds=LOOK_SECONDS):
+        how: Any = {"jobs": spread.jobs, "seconds": LOOK_SECONDS}
+        for outcome in performed(machines, begin, tasks, **how):
             if outcome is not None:
                 over.add(outcome.task)
                 hosts[outcome.host] += len(outcome.task.seeds)

@@ -261,14 +261,14 @@ def _rows_of(
     hall: Hall, jobs: int | None, cluster: str | None, pairings: Sequence[Pairing]
 ) -> Generator[MatchRow]:
     """The rows of matches, with several jobs in whichever order they are over."""
-    jobs = usable_cores() if jobs is None and cluster is None else jobs
-    if not pairings or (cluster is None and min(jobs or 1, len(pairings)) < 2):
+    here = cluster is None and 1 in (usable_cores() if jobs is None else jobs, len(pairings))
+    if here or not pairings:
         yield from map(hall.row, pairings)
         return
     play = partial, hall.row
     with (
         open_machines(cluster) as machines,
-        closing(performed(machines, play, pairings, jobs=jobs or len(pairings))) as outcomes,
+        closing(performed(machines, play, pairings, jobs=jobs)) as outcomes,
     ):
         for outcome in outcomes:
             if outcome is not None and outcome.error is not None:
