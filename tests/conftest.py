@@ -95,6 +95,31 @@ def spawned(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(multiprocessing, "get_context", _GET_CONTEXT)
 
 
+class Nodes:
+    """A Ray cluster of a head and two more nodes, of one core each, on this machine."""
+
+    def __init__(self) -> None:
+        from ray.cluster_utils import Cluster
+
+        self.cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+        self.address = self.cluster.address
+        self.others = [self.cluster.add_node(num_cpus=1) for _ in range(2)]
+
+    def kill_one(self) -> None:
+        self.cluster.remove_node(self.others.pop(), allow_graceful=False)
+
+
+@pytest.fixture(scope="module")
+def nodes() -> Iterator[Nodes]:
+    """A cluster whose workers import the tests, and the toy tasks."""
+    tests = Path(__file__).parent
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", os.pathsep.join(map(str, (tests.parent, tests / "toy"))))
+        nodes = Nodes()
+        yield nodes
+        nodes.cluster.shutdown()
+
+
 _GET_CONTEXT = multiprocessing.get_context
 
 

@@ -8,7 +8,6 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -76,35 +75,12 @@ def leave_a_file(task: SeedTask) -> list[Result]:
 SQUARES = Runs(name="squares", arms=("a", "b"), run=squares)
 
 
-class Nodes:
-    """A cluster of three nodes on this machine."""
-
-    def __init__(self) -> None:
-        from ray.cluster_utils import Cluster
-
-        self.cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
-        self.others = [self.cluster.add_node(num_cpus=1) for _ in range(2)]
-        self.address = self.cluster.address
-
-    def kill_one(self) -> None:
-        self.cluster.remove_node(self.others.pop(), allow_graceful=False)
-
-
-@pytest.fixture(scope="module")
-def nodes() -> Iterator[Nodes]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))  # workers import this module
-        nodes = Nodes()
-        yield nodes
-        nodes.cluster.shutdown()
-
-
 def results(runs: Runs, folder: Path, spread: Spread, count: int = 4) -> Any:
     run_missing(runs, folder, seeds=count, quick=False, spread=spread)
     return read_results(runs, folder, count)
 
 
-def kill_in_the_middle(study: Path, nodes: Nodes) -> None:
+def kill_in_the_middle(study: Path, nodes: Any) -> None:
     """Once three tasks have begun, kill a process and a node; then let all others go on."""
     while len(begun := sorted(study.glob("begun-*"))) < 3:
         time.sleep(0.05)
@@ -114,7 +90,7 @@ def kill_in_the_middle(study: Path, nodes: Nodes) -> None:
 
 
 def test_a_study_loses_a_process_and_a_node_and_is_the_same(
-    nodes: Nodes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    nodes: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "there"
     folder.mkdir()

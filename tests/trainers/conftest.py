@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,12 @@ import pytest
 
 from neatq_torch.checkpoint import load_checkpoint
 from neatq_trainers.arms import preset
+from neatq_trainers.callbacks import Callback
 from neatq_trainers.cli import main
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import CHECKPOINT
+from neatq_trainers.rows import Row
+from neatq_trainers.session import Session
 
 ROBOTS, LIFE_TICKS = 9, 200
 _GROWING = ("weight", "first_moment", "second_moment", "target_weight", "memory", "trace")
@@ -142,3 +145,21 @@ def neatq(
         return status, said.out, said.err
 
     return run
+
+
+class Late(Callback):
+    """Does something when a run is as long as that, once."""
+
+    def __init__(self, ticks: int, act: Callable[[], object]) -> None:
+        self.ticks, self.act = ticks, act
+
+    def rows(self, session: Session, rows: Sequence[Row]) -> None:
+        if session.lengths["ticks"] >= self.ticks:
+            self.ticks = 10**9
+            self.act()
+
+
+@pytest.fixture(scope="session")
+def late() -> type[Late]:
+    """A callback that does something when a run is as long as that."""
+    return Late

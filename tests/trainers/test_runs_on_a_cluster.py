@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,8 @@ from neatq_envs.processes import ProcessEnded
 from neatq_trainers.callbacks import Callback
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import CHAMPION, METRICS, load_run
-from neatq_trainers.rows import Row
 from neatq_trainers.run import Run
-from neatq_trainers.train import Session, resume, start
+from neatq_trainers.train import resume, start
 
 ray = pytest.importorskip("ray")
 pytestmark = [
@@ -29,31 +28,6 @@ pytestmark = [
 Tiny = Callable[..., RunConfig]
 
 
-class Nodes:
-    """A head and two more nodes of one core each on this machine."""
-
-    def __init__(self) -> None:
-        from ray.cluster_utils import Cluster
-
-        self.cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
-        self.address = self.cluster.address
-        self.others = [self.cluster.add_node(num_cpus=1) for _ in range(2)]
-
-    def kill_one(self) -> None:
-        self.cluster.remove_node(self.others.pop(), allow_graceful=False)
-
-
-@pytest.fixture(scope="module")
-def nodes() -> Iterator[Nodes]:
-    with pytest.MonkeyPatch.context() as patch:
-        tests = Path(__file__).parents[1]
-        path = tests.parent, tests / "toy"  # workers import this module, and the toy tasks
-        patch.setenv("PYTHONPATH", os.pathsep.join(map(str, path)))
-        nodes = Nodes()
-        yield nodes
-        nodes.cluster.shutdown()
-
-
 def same(one: Path, two: Path) -> bool:
     names = METRICS, CHAMPION
     return [(one / name).read_bytes() for name in names] == [
@@ -61,23 +35,11 @@ def same(one: Path, two: Path) -> bool:
     ]
 
 
-def test_signals_stay_who_ends_a_run(nodes: Nodes) -> None:
+def test_signals_stay_who_ends_a_run(nodes: Any) -> None:
     before = signal.getsignal(signal.SIGTERM)
     with open_machines(nodes.address) as machines:
         assert machines.cores() >= 2
         assert signal.getsignal(signal.SIGTERM) is before
-
-
-class Late(Callback):
-    """Does something when a run is as long as that, once."""
-
-    def __init__(self, ticks: int, act: Callable[[], object]) -> None:
-        self.ticks, self.act = ticks, act
-
-    def rows(self, session: Session, rows: Sequence[Row]) -> None:
-        if session.lengths["ticks"] >= self.ticks:
-            self.ticks = 10**9
-            self.act()
 
 
 class WhoTrains(Callback):
@@ -101,10 +63,11 @@ def alone(config: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_arenas_on_three_nodes_survive_a_process_and_a_node(
-    nodes: Nodes,
+    nodes: Any,
     config: RunConfig,
     alone: Path,
     tmp_path: Path,
+    late: Any,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -115,7 +78,7 @@ def test_arenas_on_three_nodes_survive_a_process_and_a_node(
     def kill_worker() -> None:
         os.kill(int(next(who.iterdir()).name), signal.SIGKILL)
 
-    callbacks = [WhoTrains(who), Late(80, kill_worker), Late(200, nodes.kill_one)]
+    callbacks = [WhoTrains(who), late(80, kill_worker), late(200, nodes.kill_one)]
     start(config, tmp_path / "run", workers=None, cluster=nodes.address, callbacks=callbacks)
     assert str(os.getpid()) not in {one.name for one in who.iterdir()}
     assert same(alone, tmp_path / "run")
@@ -125,7 +88,7 @@ def test_arenas_on_three_nodes_survive_a_process_and_a_node(
 
 
 def test_a_run_goes_on_on_another_cluster_or_without_one(
-    nodes: Nodes, config: RunConfig, tmp_path: Path
+    nodes: Any, config: RunConfig, tmp_path: Path
 ) -> None:
     config = replace(config, arenas=2)
     start(config, tmp_path / "alone")
@@ -135,7 +98,7 @@ def test_a_run_goes_on_on_another_cluster_or_without_one(
     assert same(tmp_path / "alone", tmp_path / "run")
 
 
-def test_environments_are_dealt_to_a_cluster(nodes: Nodes, tiny_walk: Tiny, tmp_path: Path) -> None:
+def test_environments_are_dealt_to_a_cluster(nodes: Any, tiny_walk: Tiny, tmp_path: Path) -> None:
     """Also where two sets of them are needed, and the first has taken all cores."""
     config = tiny_walk("rtneat", steps=400, batch_ticks=7)
     start(config, tmp_path / "one")
@@ -144,7 +107,7 @@ def test_environments_are_dealt_to_a_cluster(nodes: Nodes, tiny_walk: Tiny, tmp_
 
 
 def test_a_signal_ends_a_run_that_loses_a_worker_meanwhile(
-    config: RunConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    config: RunConfig, tmp_path: Path, late: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def lose(*_: object) -> None:
         raise ProcessEnded("gone")
@@ -155,7 +118,7 @@ def test_a_signal_ends_a_run_that_loses_a_worker_meanwhile(
 
     monkeypatch.setattr(ThisMachine, "elastic", True)
     with pytest.raises(KeyboardInterrupt):
-        start(config, tmp_path / "run", workers=1, callbacks=[Late(80, interrupt)])
+        start(config, tmp_path / "run", workers=1, callbacks=[late(80, interrupt)])
 
 
 def test_who_is_lost_again_and_again_ends_the_run(

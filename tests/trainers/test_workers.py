@@ -115,18 +115,6 @@ def test_a_run_goes_on_with_another_number_of_processes(tiny_walk: Tiny, tmp_pat
     assert same_files(tmp_path / "whole", tmp_path / "run")
 
 
-class Late(Callback):
-    """Does something when a run is as long as that, once."""
-
-    def __init__(self, ticks: int, act: Callable[[], object]) -> None:
-        self.ticks, self.act = ticks, act
-
-    def rows(self, session: Session, rows: Sequence[Row]) -> None:
-        if session.lengths["ticks"] >= self.ticks:
-            self.ticks = 10**9
-            self.act()
-
-
 def interrupt_everybody() -> None:
     """What Ctrl-C in a terminal does: every process of the run gets the signal."""
     for child in multiprocessing.active_children():
@@ -136,24 +124,26 @@ def interrupt_everybody() -> None:
 
 
 def test_a_run_in_two_processes_that_is_interrupted_goes_on_exactly(
-    config: RunConfig, alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    config: RunConfig, alone: Path, tmp_path: Path, late: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "run"
     with monkeypatch.context() as patch:
         patch.setattr("neatq_trainers.train.STRIDES_AHEAD", 2)
         with pytest.raises(KeyboardInterrupt):
-            start(config, folder, workers=2, callbacks=[Late(80, interrupt_everybody)])
+            start(config, folder, workers=2, callbacks=[late(80, interrupt_everybody)])
     assert multiprocessing.active_children() == []
     assert 80 <= load_run(folder).read()["done"]["ticks"] < 320
     resume(folder)
     assert same_files(alone, folder)
 
 
-def test_environments_in_two_processes_survive_ctrl_c(tiny_walk: Tiny, tmp_path: Path) -> None:
+def test_environments_in_two_processes_survive_ctrl_c(
+    tiny_walk: Tiny, tmp_path: Path, late: Any
+) -> None:
     config = tiny_walk("neat", generations=3)
     start(config, tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):
-        start(config, tmp_path / "run", workers=2, callbacks=[Late(40, interrupt_everybody)])
+        start(config, tmp_path / "run", workers=2, callbacks=[late(40, interrupt_everybody)])
     assert multiprocessing.active_children() == []
     assert load_run(tmp_path / "run").read()["done"]["generations"] < 3
     resume(tmp_path / "run")
@@ -226,7 +216,7 @@ def test_checkpoints_between_do_not_change_the_run(
 
 
 def test_a_worker_that_dies_leaves_a_checkpoint_and_says_what_to_do(
-    config: RunConfig, alone: Path, tmp_path: Path
+    config: RunConfig, alone: Path, tmp_path: Path, late: Any
 ) -> None:
     def kill() -> None:
         for child in multiprocessing.active_children():
@@ -234,7 +224,7 @@ def test_a_worker_that_dies_leaves_a_checkpoint_and_says_what_to_do(
 
     long = replace(config, ticks=10_000)
     with pytest.raises(RuntimeError, match=r"exit code -9 .*what is on disk is intact"):
-        start(long, tmp_path / "run", workers=2, callbacks=[Late(0, kill)])
+        start(long, tmp_path / "run", workers=2, callbacks=[late(0, kill)])
     assert multiprocessing.active_children() == []
     resume(tmp_path / "run", ticks=320)
     assert (alone / METRICS).read_text() == (tmp_path / "run" / METRICS).read_text()
