@@ -212,6 +212,7 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
             changes={
                 # With steep outputs or hidden nodes the networks soon say the same to everything.
                 "population": {"kind": "fixed", "start": "minimal"},
+                "world.scenario.spread_lives": True,
                 "network.activation": "sigmoid",
                 "learner.every": 8,
                 "learner.teacher_mutation": None,

@@ -100,6 +100,21 @@ def test_lifetime_zero_never_ends() -> None:
     assert not arena.truncated.any()
 
 
+def test_spread_lives_end_one_after_the_other_in_new_worlds_too() -> None:
+    arena = Arena(SMALL.replaced(lifetime_ticks=10, spread_lives=True), [0, 1])
+    for _ in range(2):
+        ends = []
+        for tick in range(1, 21):
+            arena.step(still(arena))
+            ends += [(tick, robot) for robot in np.flatnonzero(arena.truncated[1]).tolist()]
+            arena.respawn(arena.truncated)
+        assert ends == [(begin + 2 * i, 4 - i) for begin in (2, 12) for i in range(5)]
+        arena.reset()
+    assert Arena(SMALL.replaced(lifetime_ticks=0, spread_lives=True), [0]).age_ticks.tolist() == [
+        [0] * 5
+    ]
+
+
 def test_a_respawn_touches_the_masked_robots_only(to_flag: Drive) -> None:
     arena = Arena(TASKS["flag"].replaced(robots=8), [0, 1])
     for _ in range(30):

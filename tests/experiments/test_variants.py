@@ -78,10 +78,11 @@ def test_a_seed_is_the_same_world_for_every_arm_and_variant() -> None:
         assert all(np.array_equal(one, other) for one, other in zip(wanted, found, strict=True))
 
 
-def test_all_arms_have_the_same_task_but_for_sensors_and_reward() -> None:
+def test_all_arms_have_the_same_task_but_for_sensors_reward_and_when_first_lives_end() -> None:
     for task in ("flag", "wall"):
         worlds = [scenario_of(config_of(task, arm)) for arm in (*PAPER_ARMS, *VARIANTS)]
-        same = [world.replaced(sensors="arena", reward="progress") for world in worlds]
+        own = {"sensors": "arena", "reward": "progress", "spread_lives": False}
+        same = [world.replaced(**own) for world in worlds]
         assert all(world == same[0] for world in same)
         assert len({config_of(task, arm).ticks for arm in (*PAPER_ARMS, *VARIANTS)}) == 1
 

@@ -113,6 +113,8 @@ def anchor_config(
         if name.startswith(SB3):
             words = "it knows Gymnasium tasks (gym:ID) only; ppo and sac run in the arena"
             raise ConfigError(f"arm: {name} does not run on {task}: {words}")
+        # Nobody is born: else all robots would begin anew whenever a moving flag moves.
+        own["world"] = replace(world, scenario=world.scenario.replaced(spread_lives=True))
         return AnchorConfig(**own, ticks=arm.ticks, **_in_arena(name))
     _refuse_elsewhere(task, name)
     _refuse_missing(name)
