@@ -117,7 +117,7 @@ class Arena:
         velocity = np.where(everyone[..., None], 0.0, self._physics.velocity)
         self._physics.rebuild(place, velocity, arenas)
         self._begin_lives(everyone, heading_rad)
-        if self.scenario.spread_lives:
+        if self.scenario.first_lives == "spread":
             lifetime, robots = self.scenario.lifetime_ticks, self.scenario.robots
             ages = np.arange(robots) * lifetime // robots
             self.age_ticks = np.where(everyone, ages, self.age_ticks)

@@ -99,8 +99,8 @@ class Scenario:
         reward: "published" or "progress"; see `neatq_envs.rewards`.
         reward_weights: weight of each reward dimension; those left out are 0.
         lifetime_ticks: after so many ticks a life is truncated; 0 = lives have no limit.
-        spread_lives: whether robots are of all ages when a world begins, so that lives end one
-            after the other; else they begin, and where nobody is born end, all together, and so
+        first_lives: "spread": robots are of all ages when a world begins, so that lives end one
+            after the other. None: they begin, and where nobody is born end, all together, and so
             together with whatever the world does every few lives.
         max_speed: units per tick, forwards or backwards; at most `robot_radius`.
         max_turn_rad: largest turn in one tick.
@@ -122,7 +122,7 @@ class Scenario:
     reward: str = "published"
     reward_weights: Mapping[str, float] = field(default_factory=lambda: {"approach_flag": 1.0})
     lifetime_ticks: int = 1000
-    spread_lives: bool = False
+    first_lives: str | None = None
     max_speed: float = 1.0
     max_turn_rad: float = 0.2
     robot_radius: float = 4.09
@@ -135,6 +135,8 @@ class Scenario:
         object.__setattr__(self, "reward_weights", dict(self.reward_weights))
         require_known("sensors", self.sensors, SENSOR_SETS)
         require_known("reward", self.reward, REWARD_LAWS)
+        if self.first_lives is not None:
+            require_known("first_lives", self.first_lives, ("spread",))
         self._check_motion()
         self._check_weights()
         self._check_spawns()

@@ -212,7 +212,7 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
             changes={
                 # With steep outputs or hidden nodes the networks soon say the same to everything.
                 "population": {"kind": "fixed", "start": "minimal"},
-                "world.scenario.spread_lives": True,
+                "world.scenario.first_lives": "spread",
                 "network.activation": "sigmoid",
                 "learner.every": 8,
                 "learner.teacher_mutation": None,
@@ -228,6 +228,16 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
             base="neatq",
             summary="in the arena: neatq in which only the fittest breed",
             changes={"population.pioneer_share": None},
+        ),
+        "neatq-whole-lives": Variant(
+            base="neatq",
+            summary="in the arena: neatq that weighs all ticks of a life the same",
+            changes={"population.trial_weight": None},
+        ),
+        "neatq-opennero-average": Variant(
+            base="neatq",
+            summary="in the arena: neatq that averages lives as OpenNERO does",
+            changes={"population.trial_average": None},
         ),
         "neatq-without-feedback": Variant(
             base="neatq",

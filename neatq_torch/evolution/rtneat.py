@@ -24,7 +24,14 @@ from neatq_torch.evolution.reproduction import (
     choose_parents,
 )
 from neatq_torch.evolution.species import Speciation, Species, SpeciesConfig
-from neatq_torch.evolution.trials import BestStretches, Trials, relative_fitness, weighted
+from neatq_torch.evolution.trials import (
+    BestStretches,
+    TrialAverage,
+    Trials,
+    TrialWeight,
+    relative_fitness,
+    weighted,
+)
 from neatq_torch.genome import Genome
 from neatq_torch.kinds import ConfigError, check_fields
 
@@ -44,6 +51,13 @@ class RtNEATConfig:
             also the length of a trial.
         minimum_life_episodes: episodes after which a genome can be judged, instead of ticks; also
             the length of a trial. None for ticks.
+        trial_average: what a genome is judged by after more than one trial; "recent": half of the
+            old average plus half of the new trial. None: OpenNERO's, likewise from s1 + s2/2 on,
+            one and a half times a trial, so that where rewards are negative whoever has lived
+            through two trials seems to be worse than all others. Episodes: always "recent".
+        trial_weight: of rewards within a trial; "growing": from 0 to twice the average, so that
+            lives are judged by where they lead: who has found a way late is not below who never
+            leaves. None: all weigh the same, as always in episodes.
         ineligible_fraction: share of the population that is too young to be judged, in (0, 1].
         survival_share: share of those who can be judged, the fittest, who may breed, all of them as
             often, in (0, 1]; a mate is of the same species. (That of `NEATConfig` is a share of
@@ -66,6 +80,8 @@ class RtNEATConfig:
     species: SpeciesConfig = field(default_factory=SpeciesConfig)
     minimum_life_ticks: int = 1000
     minimum_life_episodes: int | None = None
+    trial_average: TrialAverage | None = None
+    trial_weight: TrialWeight | None = None
     ineligible_fraction: float = 0.5
     survival_share: float | None = None
     pioneer_share: float | None = None
@@ -76,6 +92,7 @@ class RtNEATConfig:
         check_fields(self, minimum_life_ticks="[1, inf]", minimum_life_episodes="[1, inf]")
         check_fields(self, ineligible_fraction="(0, 1]", survival_share="(0, 1]")
         check_fields(self, parsimony="[0, 1)", pioneer_share="[0, 1]")
+        check_fields(self, trial_average=TrialAverage, trial_weight=TrialWeight)
         if self.pioneer_share is not None and self.survival_share is None:
             raise ConfigError(
                 "pioneer_share: expected None without a survival_share, as pioneers breed beside "
@@ -135,7 +152,8 @@ class RtNEAT(Population):
         """See `Population`."""
         config, slots, dimensions = self.config, len(self.genomes), self.reward_weights.size
         lives = config.minimum_life_ticks, config.minimum_life_episodes
-        self.tick, self.trials = 0, Trials(slots, dimensions, *lives)
+        judged: dict[str, Any] = {"average": config.trial_average, "weight": config.trial_weight}
+        self.tick, self.trials = 0, Trials(slots, dimensions, *lives, **judged)
         self.pioneering, self.protected, self.preferred = set[int](), set[int](), set[int]()
         self.stretches = None if config.pioneer_share is None else BestStretches(slots)
         if self.stretches is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import deepcopy
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,15 +42,22 @@ class Kept:
             setattr(self, name, value)
 
 
+TrialAverage, TrialWeight = Literal["recent"], Literal["growing"]
+
+
 class Trials(Kept):
     """Ages, reward sums of the running trials and averages over closed ones.
 
     A trial closes whenever the age of its slot reaches a multiple of `trial_ticks`; its value is
-    the sum of its rewards. The average after the trials s1, s2, s3 is OpenNERO's: s1, then
-    s1 + s2/2 (not the mean), then half of that plus s3/2.
+    the sum of its rewards. With the weight "growing" rewards weigh the more the later in a trial
+    they come: of n ticks the i-th, from 1, by 2 i / (n + 1), which is 1 on average.
 
-    With `trial_episodes` a trial closes with the last tick of so many episodes instead, and its
-    value is their mean sum. The average is s1, then always half of the old plus half of the new.
+    The average after the trials s1, s2, s3 is OpenNERO's: s1, then s1 + s2/2 (not the mean), then
+    half of that plus s3/2. With the average "recent" it is s1, then always half of the old plus
+    half of the new.
+
+    With `trial_episodes` a trial closes with the last tick of so many episodes instead, its value
+    is their mean sum, the average is "recent", and all ticks weigh the same.
 
     Attributes:
         age_ticks: int64 [slots].
@@ -67,9 +74,18 @@ class Trials(Kept):
     kept = (*ARRAYS, "total")
 
     def __init__(
-        self, slots: int, dimensions: int, trial_ticks: int, trial_episodes: int | None = None
+        self,
+        slots: int,
+        dimensions: int,
+        trial_ticks: int,
+        trial_episodes: int | None = None,
+        *,
+        average: TrialAverage | None = None,
+        weight: TrialWeight | None = None,
     ) -> None:
         self.by_ticks, self.length = trial_episodes is None, trial_episodes or trial_ticks
+        self._adds_second = self.by_ticks and average is None
+        self._growing = self.by_ticks and weight == "growing"
         self.sums, self.averages, self.latest = np.zeros((3, slots, dimensions))
         counters = np.zeros((4, slots), dtype=np.int64)
         self.age_ticks, self.closed, self.running, self.ended = counters
@@ -93,9 +109,13 @@ class Trials(Kept):
             self.ended = ended[:, -1] % self.length
         borders = np.flatnonzero(closing.any(axis=0)) + 1
         for start, end in pairwise(sorted({0, *borders.tolist(), ticks})):
+            earned = rewards[:, start:end]
+            if self._growing:
+                nth = self.running[:, None] + np.arange(1, end - start + 1)
+                earned = earned * (2 * nth / (self.length + 1))[..., None]
             # Adding strictly one after the other (not in pairs, as a sum over an axis may do)
             # makes the result the same for every cut into batches.
-            parts = np.concatenate([self.sums[:, None], rewards[:, start:end]], axis=1)
+            parts = np.concatenate([self.sums[:, None], earned], axis=1)
             self.sums = np.add.accumulate(parts, axis=1)[:, -1]
             self.running += end - start
             self.age_ticks += end - start
@@ -107,7 +127,7 @@ class Trials(Kept):
         self.closed[slots] += 1
         closed, old = self.closed[slots, None], self.averages[slots]
         value = self.sums[slots] / (1 if self.by_ticks else self.length)
-        added = closed <= (2 if self.by_ticks else 1)
+        added = closed <= (2 if self._adds_second else 1)
         self.averages[slots] = np.where(added, old + value / closed, old + (value - old) / 2)
         self.latest[slots] = value
         self.sums[slots], self.running[slots] = 0.0, 0

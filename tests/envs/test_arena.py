@@ -101,7 +101,7 @@ def test_lifetime_zero_never_ends() -> None:
 
 
 def test_spread_lives_end_one_after_the_other_in_new_worlds_too() -> None:
-    arena = Arena(SMALL.replaced(lifetime_ticks=10, spread_lives=True), [0, 1])
+    arena = Arena(SMALL.replaced(lifetime_ticks=10, first_lives="spread"), [0, 1])
     for _ in range(2):
         ends = []
         for tick in range(1, 21):
@@ -110,9 +110,9 @@ def test_spread_lives_end_one_after_the_other_in_new_worlds_too() -> None:
             arena.respawn(arena.truncated)
         assert ends == [(begin + 2 * i, 4 - i) for begin in (2, 12) for i in range(5)]
         arena.reset()
-    assert Arena(SMALL.replaced(lifetime_ticks=0, spread_lives=True), [0]).age_ticks.tolist() == [
-        [0] * 5
-    ]
+    assert Arena(
+        SMALL.replaced(lifetime_ticks=0, first_lives="spread"), [0]
+    ).age_ticks.tolist() == [[0] * 5]
 
 
 def test_a_respawn_touches_the_masked_robots_only(to_flag: Drive) -> None:

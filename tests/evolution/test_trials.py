@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from neatq_torch.evolution.trials import Trials, relative_fitness, z_scores
+from neatq_torch.evolution.trials import Trials, TrialWeight, relative_fitness, z_scores
 
 
 def trial(amounts: list[float], ticks: int = 10) -> np.ndarray:
@@ -23,6 +23,32 @@ def test_trials_are_averaged_by_hand() -> None:
     # s1; s1 + s2/2; then half of the old and half of the new.
     assert seen == pytest.approx([8.0, 8.0 + 2.0, 5.0 + 1.0, 3.0 + 10.0])
     assert trials.closed.tolist() == [4] and trials.total == 4
+
+
+def test_recent_trials_count_half_from_the_second_on() -> None:
+    trials = Trials(1, 1, 10, average="recent")
+    seen = []
+    for amount in (8.0, 4.0, 2.0, 20.0):
+        trials.record(trial([amount]))
+        seen.append(trials.averages[0, 0])
+    assert seen == pytest.approx([8.0, 6.0, 4.0, 12.0])
+
+
+def test_growing_weights_by_hand() -> None:
+    """Who finds a way late is above who waits, though their lives are worth the same."""
+    trials = Trials(2, 1, 4, weight="growing")
+    trials.record([[[-9.0], [-9.0], [-1.0], [-1.0]], [[-5.0]] * 4])
+    # Weights of 0.4, 0.8, 1.2, 1.6.
+    assert trials.latest[:, 0] == pytest.approx([-9 * 1.2 - 2.8, -20.0])
+    trials.record([[[1.0], [0.0]], [[0.0], [1.0]]])
+    assert trials.sums[:, 0] == pytest.approx([0.4, 0.8])
+
+
+def test_episodes_know_neither_growing_weights_nor_another_average() -> None:
+    plain, other = Trials(1, 1, 4, 1), Trials(1, 1, 4, 1, average=None, weight="growing")
+    for trials in (plain, other):
+        trials.record([[[1.0], [2.0], [4.0]]], [[False, True, True]])
+    assert other.averages[0, 0] == plain.averages[0, 0] == 3.5
 
 
 def test_trials_of_episodes_are_averaged_by_hand() -> None:
@@ -94,14 +120,20 @@ def test_robots_of_different_age_close_their_trials_apart() -> None:
     st.sampled_from([4, 1000]),
     st.integers(1, 3),
     st.sampled_from([None, 1, 3]),
+    st.sampled_from([None, "growing"]),
 )
 def test_the_cut_into_batches_does_not_matter_to_the_last_bit(
-    batches: list[int], seed: int, trial_ticks: int, dimensions: int, episodes: int | None
+    batches: list[int],
+    seed: int,
+    trial_ticks: int,
+    dimensions: int,
+    episodes: int | None,
+    weight: TrialWeight | None,
 ) -> None:
     rng = np.random.default_rng(seed)
-    shape = (3, sum(batches))
+    shape, sizes = (3, sum(batches)), (3, dimensions, trial_ticks, episodes)
     rewards, done = rng.normal(size=(*shape, dimensions)), rng.random(shape) < 0.4
-    whole, parts, ticks = (Trials(3, dimensions, trial_ticks, episodes) for _ in range(3))
+    whole, parts, ticks = (Trials(*sizes, weight=weight) for _ in range(3))
     closed = whole.record(rewards, done)
     for trials, cuts in ((parts, np.cumsum(batches)), (ticks, range(1, shape[1]))):
         pieces = [np.split(one, cuts, axis=1) for one in (rewards, done)]

@@ -81,7 +81,7 @@ def test_a_seed_is_the_same_world_for_every_arm_and_variant() -> None:
 def test_all_arms_have_the_same_task_but_for_sensors_reward_and_when_first_lives_end() -> None:
     for task in ("flag", "wall"):
         worlds = [scenario_of(config_of(task, arm)) for arm in (*PAPER_ARMS, *VARIANTS)]
-        own = {"sensors": "arena", "reward": "progress", "spread_lives": False}
+        own = {"sensors": "arena", "reward": "progress", "first_lives": None}
         same = [world.replaced(**own) for world in worlds]
         assert all(world == same[0] for world in same)
         assert len({config_of(task, arm).ticks for arm in (*PAPER_ARMS, *VARIANTS)}) == 1

@@ -30,7 +30,7 @@ DIGESTS = {
     ("wall", "neat"): "1c4b42ddee67",
     ("wall", "committed"): "3e1d2b4f8971",
     ("wall", "described"): "05f3194df93a",
-    ("wall", "neatq"): "3a37c3451381",
+    ("wall", "neatq"): "5a18172625fe",
     ("wall", "replay"): "2bdacba4bfdb",
     ("wall", "neat+q"): "3721695ccbba",
     ("wall", "qnetwork"): "eddee2552f9f",
@@ -51,7 +51,7 @@ DEFAULTS = {
     ("learner", "critic"): "59f8bee7d22b",
     ("learner", "traces"): "27a1f8b7d1a8",
     ("learner", "table"): "473a57fb72fd",
-    ("population", "rtneat"): "0f440013b26d",
+    ("population", "rtneat"): "c1ff314eff2f",
     ("population", "neat"): "ae8a85d7e691",
     ("population", "fixed"): "6ebd5daf6c3f",
 }

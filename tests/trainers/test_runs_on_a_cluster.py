@@ -52,20 +52,20 @@ class WhoTrains(Callback):
         (self.folder / str(os.getpid())).touch()
 
 
+@pytest.fixture(scope="module", params=[None, {"every_ticks": 80}], ids=["apart", "islands"])
+def arenas(tiny: Tiny, request: pytest.FixtureRequest) -> RunConfig:
+    own = {"arenas": 3, "ticks": 320, "checkpoint_seconds": 0.0}
+    return tiny("neatq", **own, migration=request.param)
+
+
 @pytest.fixture(scope="module")
 def config(tiny: Tiny) -> RunConfig:
     return tiny("neatq", arenas=3, ticks=320, checkpoint_seconds=0.0)
 
 
-@pytest.fixture(scope="module")
-def alone(config: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return start(config, tmp_path_factory.mktemp("alone") / "run").path
-
-
 def test_arenas_on_three_nodes_survive_a_process_and_a_node(
     nodes: Any,
-    config: RunConfig,
-    alone: Path,
+    arenas: RunConfig,
     tmp_path: Path,
     late: Any,
     capsys: pytest.CaptureFixture[str],
@@ -78,10 +78,11 @@ def test_arenas_on_three_nodes_survive_a_process_and_a_node(
     def kill_worker() -> None:
         os.kill(int(next(who.iterdir()).name), signal.SIGKILL)
 
+    start(arenas, tmp_path / "alone")
     callbacks = [WhoTrains(who), late(80, kill_worker), late(200, nodes.kill_one)]
-    start(config, tmp_path / "run", workers=None, cluster=nodes.address, callbacks=callbacks)
+    start(arenas, tmp_path / "run", workers=None, cluster=nodes.address, callbacks=callbacks)
     assert str(os.getpid()) not in {one.name for one in who.iterdir()}
-    assert same(alone, tmp_path / "run")
+    assert same(tmp_path / "alone", tmp_path / "run")
     assert [len(run["populations"]) for run in load_run(tmp_path / "run").read()["runs"]] == [1] * 3
     told = re.findall("the run goes on from tick ([0-9]+)", capsys.readouterr().err)
     assert int(told[0]) < 80 <= int(told[-1])
@@ -103,6 +104,17 @@ def test_environments_are_dealt_to_a_cluster(nodes: Any, tiny_walk: Tiny, tmp_pa
     config = tiny_walk("rtneat", steps=400, batch_ticks=7)
     start(config, tmp_path / "one")
     start(config, tmp_path / "two", workers=2, cluster=nodes.address)
+    assert same(tmp_path / "one", tmp_path / "two")
+
+
+def test_environments_on_three_nodes_survive_the_loss_of_one(
+    nodes: Any, tiny_walk: Tiny, tmp_path: Path, late: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tiny_walk("rtneat", steps=400, batch_ticks=7, checkpoint_seconds=0.0)
+    start(config, tmp_path / "one")
+    own = {"workers": 3, "cluster": nodes.address, "callbacks": [late(28, nodes.kill_one)]}
+    start(config, tmp_path / "two", **own)
+    assert "the run goes on from tick" in capsys.readouterr().err
     assert same(tmp_path / "one", tmp_path / "two")
 
 

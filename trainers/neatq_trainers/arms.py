@@ -140,7 +140,13 @@ ARMS: dict[str, Arm] = {
     ),
     "neatq": Arm(
         summary=_TAUGHT.summary,
-        population=RtNEATConfig(ineligible_fraction=0.25, survival_share=0.2, pioneer_share=0.35),
+        population=RtNEATConfig(
+            trial_average="recent",
+            trial_weight="growing",
+            ineligible_fraction=0.25,
+            survival_share=0.2,
+            pioneer_share=0.35,
+        ),
         learner=CriticConfig(
             updates_per_step=0.01,
             newborn_updates=500,
@@ -158,6 +164,7 @@ ARMS: dict[str, Arm] = {
             "learner.horizon": 3,
             "learner.discount": 0.99,
             "learner.noise": 0.1,
+            "population.trial_weight": None,
             "population.ineligible_fraction": 0.5,
             "population.survival_share": None,
             "population.pioneer_share": None,

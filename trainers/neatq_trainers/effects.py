@@ -90,7 +90,9 @@ def _may_recur(population: Any) -> bool:
 def _of_population(config: RunConfig) -> dict[str, str]:
     own, useless = config.population, {}
     if isinstance(own, RtNEATConfig) and own.minimum_life_episodes is not None:
-        useless["population.minimum_life_ticks"] = "population.minimum_life_episodes is set"
+        of_ticks = "minimum_life_ticks", "trial_average", "trial_weight"
+        words = "population.minimum_life_episodes is set"
+        useless |= {f"population.{name}": words for name in of_ticks}
     if isinstance(own, RtNEATConfig) and own.survival_share is not None:
         words = "population.survival_share is set, and mates are of one species"
         useless["population.reproduction.interspecies_mate_prob"] = words

@@ -114,7 +114,7 @@ def anchor_config(
             words = "it knows Gymnasium tasks (gym:ID) only; ppo and sac run in the arena"
             raise ConfigError(f"arm: {name} does not run on {task}: {words}")
         # Nobody is born: else all robots would begin anew whenever a moving flag moves.
-        own["world"] = replace(world, scenario=world.scenario.replaced(spread_lives=True))
+        own["world"] = replace(world, scenario=world.scenario.replaced(first_lives="spread"))
         return AnchorConfig(**own, ticks=arm.ticks, **_in_arena(name))
     _refuse_elsewhere(task, name)
     _refuse_missing(name)
