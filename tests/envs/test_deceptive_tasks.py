@@ -192,3 +192,24 @@ def _free(task: Scenario, start: Place, end: Place) -> bool:
     x, y = (np.linspace(a, b, steps) for a, b in zip(start, end, strict=True))
     radius = task.robot_radius
     return all(bool((box_distance(x, y, wall) >= radius).all()) for wall in task.walls)
+
+
+def team_after_a_moving_flag(ages: np.ndarray) -> float:
+    """Return the mean distance of a perfect team of such ages, in the last tenth of a run."""
+    task, begin = TASKS["moving"], 54_000
+    flags = np.array(task.flag.positions)
+    spawn = np.array([task.spawns[0].x, task.spawns[0].y])
+    place, total = np.tile(flags[begin // 5000], (len(ages), 1)), 0.0
+    for tick in range(begin - 1000, 60_000):
+        place[(ages + tick) % 1000 == 0] = spawn
+        way = flags[tick // 5000 % len(flags)] - place
+        far = np.hypot(*way.T)
+        place = place + way * np.minimum(1, 1 / np.maximum(far, 1e-9))[:, None]
+        total += np.maximum(far - 1, 0).mean() if tick >= begin else 0
+    return total / 6000
+
+
+def test_where_all_lives_begin_when_the_flag_moves_a_perfect_team_need_not_turn_round() -> None:
+    spread, together = np.arange(50) * 20, np.zeros(50, int)
+    assert team_after_a_moving_flag(spread) == pytest.approx(19, abs=0.5)
+    assert team_after_a_moving_flag(together) == pytest.approx(11.5, abs=0.5)

@@ -52,20 +52,14 @@ class WhoTrains(Callback):
         (self.folder / str(os.getpid())).touch()
 
 
-@pytest.fixture(scope="module", params=[None, {"every_ticks": 80}], ids=["apart", "islands"])
-def arenas(tiny: Tiny, request: pytest.FixtureRequest) -> RunConfig:
-    own = {"arenas": 3, "ticks": 320, "checkpoint_seconds": 0.0}
-    return tiny("neatq", **own, migration=request.param)
-
-
 @pytest.fixture(scope="module")
 def config(tiny: Tiny) -> RunConfig:
     return tiny("neatq", arenas=3, ticks=320, checkpoint_seconds=0.0)
 
 
-def test_arenas_on_three_nodes_survive_a_process_and_a_node(
+def test_islands_on_three_nodes_survive_a_process_and_a_node(
     nodes: Any,
-    arenas: RunConfig,
+    config: RunConfig,
     tmp_path: Path,
     late: Any,
     capsys: pytest.CaptureFixture[str],
@@ -78,9 +72,10 @@ def test_arenas_on_three_nodes_survive_a_process_and_a_node(
     def kill_worker() -> None:
         os.kill(int(next(who.iterdir()).name), signal.SIGKILL)
 
-    start(arenas, tmp_path / "alone")
+    islands = config.changed({"migration": {"every_ticks": 80}})
+    start(islands, tmp_path / "alone")
     callbacks = [WhoTrains(who), late(80, kill_worker), late(200, nodes.kill_one)]
-    start(arenas, tmp_path / "run", workers=None, cluster=nodes.address, callbacks=callbacks)
+    start(islands, tmp_path / "run", workers=None, cluster=nodes.address, callbacks=callbacks)
     assert str(os.getpid()) not in {one.name for one in who.iterdir()}
     assert same(tmp_path / "alone", tmp_path / "run")
     assert [len(run["populations"]) for run in load_run(tmp_path / "run").read()["runs"]] == [1] * 3
@@ -99,17 +94,10 @@ def test_a_run_goes_on_on_another_cluster_or_without_one(
     assert same(tmp_path / "alone", tmp_path / "run")
 
 
-def test_environments_are_dealt_to_a_cluster(nodes: Any, tiny_walk: Tiny, tmp_path: Path) -> None:
-    """Also where two sets of them are needed, and the first has taken all cores."""
-    config = tiny_walk("rtneat", steps=400, batch_ticks=7)
-    start(config, tmp_path / "one")
-    start(config, tmp_path / "two", workers=2, cluster=nodes.address)
-    assert same(tmp_path / "one", tmp_path / "two")
-
-
 def test_environments_on_three_nodes_survive_the_loss_of_one(
     nodes: Any, tiny_walk: Tiny, tmp_path: Path, late: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Two sets of them are needed, and the first has taken all cores."""
     config = tiny_walk("rtneat", steps=400, batch_ticks=7, checkpoint_seconds=0.0)
     start(config, tmp_path / "one")
     own = {"workers": 3, "cluster": nodes.address, "callbacks": [late(28, nodes.kill_one)]}
