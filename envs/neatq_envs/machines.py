@@ -5,6 +5,7 @@ Who has work to do opens objects elsewhere, and does not know where that is.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -35,6 +36,34 @@ class Distant(Protocol):
     def close(self) -> None:
         """End it, whatever it does."""
         ...
+
+
+class Here:
+    """An object of this process, which does what it is asked for when the answer is wanted."""
+
+    def __init__(self, served: Any) -> None:
+        self._served = served
+        self._asked: deque[tuple[str, Any]] = deque()
+
+    def ask(self, method: str, *arguments: Any) -> None:
+        """See `Distant`."""
+        self._asked.append((method, arguments))
+
+    def answer(self) -> Any:
+        """See `Distant`."""
+        method, arguments = self._asked.popleft()
+        return getattr(self._served, method)(*arguments)
+
+    def close(self) -> None:
+        """See `Distant`."""
+        self._served.close()
+
+
+def answers_of(distant: Sequence[Distant], method: str, *arguments: Any) -> list[Any]:
+    """What several answer to the same question, which they are at work on at the same time."""
+    for one in distant:
+        one.ask(method, *arguments)
+    return [one.answer() for one in distant]
 
 
 class Machines(Protocol):

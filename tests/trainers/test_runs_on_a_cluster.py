@@ -114,7 +114,7 @@ def test_a_signal_ends_a_run_that_loses_a_worker_meanwhile(
 
     def interrupt() -> None:
         signal.raise_signal(signal.SIGINT)
-        monkeypatch.setattr("neatq_trainers.workers.LocalWorker.snapshot", lose)
+        monkeypatch.setattr("neatq_trainers.workers.Worker.snapshot", lose)
 
     monkeypatch.setattr(ThisMachine, "elastic", True)
     with pytest.raises(KeyboardInterrupt):

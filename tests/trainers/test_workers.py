@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 import torch
 
-from neatq_envs.machines import Crew, ThisMachine
+from neatq_envs.machines import Crew, ThisMachine, answers_of
 from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.callbacks import Callback
@@ -236,7 +236,7 @@ def test_an_error_in_a_worker_is_raised_here_with_its_traceback(config: RunConfi
         open_workers(config.split(2), [None, broken], None, [], Crew(2)) as workers,
         pytest.raises(CheckpointError, match="populations") as caught,
     ):
-        workers[1].snapshot()
+        answers_of(workers, "snapshot")
     assert "_populations" in caught.value.__notes__[0]
     assert multiprocessing.active_children() == []
 

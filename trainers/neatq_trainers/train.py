@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from neatq_envs.machines import Crew, Machines, open_machines
+from neatq_envs.machines import Crew, Distant, Machines, answers_of, open_machines
 from neatq_envs.pool import TRIES
 from neatq_envs.processes import MachinesLeft, ProcessEnded, unguarded_script
 from neatq_envs.random_play import EnvFacts
@@ -38,7 +38,7 @@ from neatq_trainers.rows import ReturnRow, Row
 from neatq_trainers.saved import best_score
 from neatq_trainers.session import Session
 from neatq_trainers.signals import ending_by_signals, noting_signals, raise_for
-from neatq_trainers.workers import Worker, fitting_workers, open_workers
+from neatq_trainers.workers import fitting_workers, open_workers
 from neatq_trainers.worlds import facts_of
 
 STRIDES_AHEAD = 8
@@ -142,7 +142,7 @@ def _begin(
         facts = facts_of(config.world, discount, apart=crew.machines if crew.size > 1 else None)
         states = [None] * len(parts)
         team = stack.enter_context(open_workers(parts, states, facts, everybody, crew))
-        begun = [worker.snapshot() for worker in team]  # what cannot be built leaves no folder
+        begun = answers_of(team, "snapshot")  # what cannot be built leaves no folder
         path.mkdir(parents=True, exist_ok=True)
         stack.enter_context(locked(path))
         folder = RunFolder.create(path, config)
@@ -249,8 +249,7 @@ def _go_on(
         crew = _crew(workers, config, machines)
         team = stack.enter_context(open_workers(parts, states, facts, everybody, crew))
         for change in folder.record.settings():
-            for worker in team:
-                worker.make(change)
+            answers_of(team, "make", change)
         session = Session(config=config, folder=folder, facts=facts, lengths=state["done"])
         session.migrations = states[0].get("migrations", 0)
         session.score = best_score(state) if config.until is not None else -math.inf
@@ -291,7 +290,7 @@ def _crew(workers: int | None, config: RunConfig, machines: Machines) -> Crew:
     return Crew(fitting, machines)
 
 
-def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Callback]) -> None:
+def _train(session: Session, workers: Sequence[Distant], callbacks: Sequence[Callback]) -> None:
     """Train until the run has its length or is solved, or until somebody stops it.
 
     Raises:
@@ -316,10 +315,10 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
             wanted = not session.over and not due and session.done + soon < total
             if wanted and not pausing and under_way < ahead:
                 for worker in workers:
-                    worker.begin()
+                    worker.ask("stride")
                 under_way += 1
             elif under_way:
-                _take(session, [worker.finish() for worker in workers], callbacks)
+                _take(session, [worker.answer() for worker in workers], callbacks)
                 under_way, unsaved = under_way - 1, True
             elif _migrate(session, workers) or _change(session, workers, callbacks):
                 unsaved = True
@@ -327,7 +326,7 @@ def _train(session: Session, workers: Sequence[Worker], callbacks: Sequence[Call
                 for callback in callbacks:
                     callback.idle(session)
             else:  # nobody is at work
-                snapshots = [worker.snapshot() for worker in workers]
+                snapshots = answers_of(workers, "snapshot")
                 session.folder.save(snapshots, session.facts, session.lengths)
                 session.wants_checkpoint = unsaved = False
                 for callback in callbacks:
@@ -352,32 +351,34 @@ def _ending_by(signals: Sequence[int]) -> Iterator[None]:
         raise
 
 
-def _migrate(session: Session, workers: Sequence[Worker]) -> bool:
+def _migrate(session: Session, workers: Sequence[Distant]) -> bool:
     """Let arenas exchange genomes if it is time; whether it was."""
     config, times = session.config, session.migrations
     if session.over or session.lengths["ticks"] < session.next_migration:
         return False
     assert config.migration is not None
-    leaving = [own for worker in workers for own in worker.emigrants(times)]
+    leaving = [own for part in answers_of(workers, "emigrants", times) for own in part]
     ways = routes(config.migration, config.arenas, config.seed, times)
     arriving = arrivals(leaving, ways)
     borders = pairwise([*config.first_arenas(len(workers)), config.arenas])
     for worker, (first, end) in zip(workers, borders, strict=True):
-        worker.immigrate(arriving[first:end])
+        worker.ask("immigrate", arriving[first:end])
+    for worker in workers:
+        worker.answer()
     session.migrations += 1
     return True
 
 
-def _change(session: Session, workers: Sequence[Worker], callbacks: Sequence[Callback]) -> bool:
+def _change(session: Session, workers: Sequence[Distant], callbacks: Sequence[Callback]) -> bool:
     """Make the next change that is due, recorded or wanted; whether there was any."""
     record = session.folder.record
     if record.next_tick() <= session.lengths["ticks"]:
         change = record.entries[record.made].change
-        workers[0].check(change)  # it may be the record of a run of another kind
+        answers_of(workers[:1], "check", change)  # it may be the record of a run of another kind
     elif session.wanted:
         change = session.wanted.popleft()
         try:
-            workers[0].check(change)
+            answers_of(workers[:1], "check", change)
             record.add(session.lengths["ticks"], change)
         except REFUSALS as error:
             for callback in callbacks:
@@ -387,8 +388,7 @@ def _change(session: Session, workers: Sequence[Worker], callbacks: Sequence[Cal
         return False
     for callback in callbacks:
         callback.changing(session, change)
-    for worker in workers if change.everywhere else workers[:1]:
-        worker.make(change)
+    answers_of(workers if change.everywhere else workers[:1], "make", change)
     record.made += 1
     for callback in callbacks:
         callback.changed(session, change)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from neatq_envs.machines import Crew, Distant, Machines
+from neatq_envs.machines import Crew, Distant, Here, Machines
 from neatq_envs.random_play import EnvFacts
 from neatq_torch.genome import Genome
 from neatq_trainers.build import build
@@ -44,8 +44,8 @@ class Snapshot(NamedTuple):
     champions: list[Champion | None]
 
 
-class LocalWorker:
-    """Trains some arenas of a run in this process; see `build`.
+class Worker:
+    """Trains some arenas of a run in its process; see `build`.
 
     `batch` and `advance` of the callbacks are called here.
     """
@@ -70,17 +70,14 @@ class LocalWorker:
             raise
         self._strides = strides(self._run, callbacks)
 
-    def begin(self) -> None:
-        """Let it train one stride more; several may be under way. Here `finish` does the work."""
-
-    def finish(self) -> Stride:
-        """What came of the earliest stride under way."""
+    def stride(self) -> Stride:
+        """Train one stride more."""
         stride = next(self._strides)
         self._hearing.close()
         return stride
 
     def check(self, change: AnyChange) -> None:
-        """Refuse a change that cannot be made, see `Change`; no stride may be under way."""
+        """Refuse a change that cannot be made, see `Change`."""
         change.check(self._run)
 
     def make(self, change: AnyChange) -> None:
@@ -88,7 +85,7 @@ class LocalWorker:
         change.make(self._run)
 
     def emigrants(self, times: int) -> Travellers:
-        """Who goes of each arena, see `islands`; no stride may be under way."""
+        """Who goes of each arena, see `islands`."""
         assert self._run.config.migration is not None
         return emigrants(self._run, self._run.config.migration, times)
 
@@ -97,7 +94,7 @@ class LocalWorker:
         immigrate(self._run, arriving)
 
     def snapshot(self) -> Snapshot:
-        """The run as it stands; no stride may be under way."""
+        """The run as it stands."""
         run = self._run
         return Snapshot(run.state_dict(), run.champion(0), run.metrics.champions)
 
@@ -108,56 +105,9 @@ class LocalWorker:
         self._run.world.close()
 
 
-def _in_process(tells: bool, *arguments: Any) -> LocalWorker:
+def _in_process(tells: bool, *arguments: Any) -> Worker:
     torch.set_num_threads(1)
-    return LocalWorker(*arguments, tells=tells)
-
-
-class DistantWorker:
-    """Has a `LocalWorker` train elsewhere."""
-
-    def __init__(self, worker: Distant) -> None:
-        self._worker = worker
-
-    def begin(self) -> None:
-        """Ask for a stride."""
-        self._worker.ask("finish")
-
-    def finish(self) -> Stride:
-        """Wait for a stride."""
-        return self._worker.answer()
-
-    def check(self, change: AnyChange) -> None:
-        """Ask whether a change can be made."""
-        self._worker.ask("check", change)
-        self._worker.answer()
-
-    def make(self, change: AnyChange) -> None:
-        """Have a change made."""
-        self._worker.ask("make", change)
-        self._worker.answer()
-
-    def emigrants(self, times: int) -> Travellers:
-        """Ask who goes."""
-        self._worker.ask("emigrants", times)
-        return self._worker.answer()
-
-    def immigrate(self, arriving: Travellers) -> None:
-        """Have them arrive."""
-        self._worker.ask("immigrate", arriving)
-        self._worker.answer()
-
-    def snapshot(self) -> Snapshot:
-        """Ask for the state, and wait for it."""
-        self._worker.ask("snapshot")
-        return self._worker.answer()
-
-    def close(self) -> None:
-        """End it."""
-        self._worker.close()
-
-
-Worker = LocalWorker | DistantWorker
+    return Worker(*arguments, tells=tells)
 
 
 @contextmanager
@@ -167,20 +117,19 @@ def open_workers(
     facts: EnvFacts | None,
     callbacks: Sequence[Callback],
     crew: Crew,
-) -> Iterator[Sequence[Worker]]:
-    """A worker for each part of a run: this process if there is one part, else one elsewhere."""
+) -> Iterator[Sequence[Distant]]:
+    """A `Worker` for each part of a run: in this process if there is one part, else elsewhere."""
     own = [one for one in callbacks if _is_called_there(one)]
     with ExitStack() as stack:
-        opened: list[Worker] = []
+        opened: list[Distant] = []
         for config, state in zip(parts, states, strict=True):
             arguments = config, state, facts, own
             if len(parts) == 1:
-                opened.append(LocalWorker(*arguments, crew))
+                opened.append(Here(Worker(*arguments, crew)))
             else:
                 tells = not opened  # one of them tells what all of them do
                 everything = _in_process, tells, *arguments
-                worker = crew.machines.open(*everything, together=len(parts))
-                opened.append(DistantWorker(worker))
+                opened.append(crew.machines.open(*everything, together=len(parts)))
             stack.callback(opened[-1].close)
         yield opened
 
