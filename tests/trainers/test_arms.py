@@ -105,6 +105,15 @@ def test_where_lives_have_no_end_a_genome_is_judged_after_a_thousand_ticks() -> 
     assert own.population.minimum_life_ticks == other.population.minimum_life_ticks == 1000
 
 
+def test_lives_are_judged_by_where_they_lead_in_the_arena_alone() -> None:
+    judged = {
+        task: (own.trial_weight, own.trial_average)
+        for task in ("maze", "nero")
+        for own in [preset(task, "neatq").population]
+    }
+    assert judged == {"maze": ("growing", "recent"), "nero": (None, None)}
+
+
 def test_where_lives_end_a_genome_is_judged_after_one() -> None:
     short = {"lifetime_ticks": 300}
     own = preset("wall", "rtneat", env_kwargs=short)

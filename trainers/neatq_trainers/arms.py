@@ -347,7 +347,11 @@ def _population(arm: Arm, world: WorldConfig) -> Any:
     if arm.population is None or not world.lasting:
         return arm.population
     life = world.lifetime_ticks or LIFE_TICKS
-    return _having(arm.population, minimum_life_ticks=life, episodes=1)
+    population = _having(arm.population, minimum_life_ticks=life, episodes=1)
+    if isinstance(world, ArenaConfig):
+        return population
+    # NERO's robots die: a trial is no life there, and leads nowhere. It is judged as published.
+    return _having(population, trial_weight=None, trial_average=None)
 
 
 def _learner(arm: Arm, world: WorldConfig) -> Any:
