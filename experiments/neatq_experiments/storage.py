@@ -60,8 +60,11 @@ class Mirror:
 
     def fetch(self) -> None:
         """Copy what is there."""
-        if self._there.exists(self._path):
-            self._there.get(f"{self._path}/", f"{self.folder}/", recursive=True)
+        # Not `get` of the whole: it takes a path for a pattern where it has "[", "*" or "?".
+        for there in self._there.find(self._path):
+            here = self.folder / there.removeprefix(self._path).lstrip("/")
+            here.parent.mkdir(parents=True, exist_ok=True)
+            self._there.get_file(there, str(here))
 
     def push(self) -> None:
         """Copy what has changed, and checkpoints, as they were before that, last.

@@ -121,7 +121,7 @@ def test_what_is_under_way_is_mirrored_and_gone_on_with_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(storage, "MIRROR_SECONDS", 0.01)
-    url, there = f"file://{tmp_path}/bucket", tmp_path / "bucket/a/work-0/run/lines.csv"
+    url, there = f"file://{tmp_path}/[my] bucket*", tmp_path / "[my] bucket*/a/work-0/run/lines.csv"
     with pytest.raises(OverflowError), mirrored(tmp_path / "out/a/work-0", url) as folder:
         (folder / "run").mkdir()
         (folder / "run" / there.name).write_text("half")
