@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -230,6 +231,16 @@ def test_an_error_that_cannot_be_sent_is_told_and_stops_nobody(tmp_path: Path) -
 def test_a_wrong_address_is_said_in_a_sentence_at_once(address: str, words: str) -> None:
     with pytest.raises(ClusterError, match=words), open_machines(address):
         pass
+
+
+def test_without_a_cluster_nobody_imports_ray() -> None:
+    code = (
+        "import sys, neatq_trainers.train, neatq_experiments.compare.command\n"
+        "from neatq_envs.machines import open_machines\n"
+        "with open_machines(None): print('ray' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
 
 
 def test_who_listens_and_is_not_ray_is_not_waited_for() -> None:
