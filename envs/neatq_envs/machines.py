@@ -59,13 +59,6 @@ class Here:
         self._served.close()
 
 
-def answers_of(distant: Sequence[Distant], method: str, *arguments: Any) -> list[Any]:
-    """What several answer to the same question, which they are at work on at the same time."""
-    for one in distant:
-        one.ask(method, *arguments)
-    return [one.answer() for one in distant]
-
-
 class Machines(Protocol):
     """What objects elsewhere are opened on.
 

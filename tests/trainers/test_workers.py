@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 import torch
 
-from neatq_envs.machines import Crew, ThisMachine, answers_of
+from neatq_envs.machines import Crew, ThisMachine
 from neatq_torch.checkpoint import CheckpointError
 from neatq_torch.kinds import ConfigError
 from neatq_trainers.callbacks import Callback
@@ -26,7 +26,7 @@ from neatq_trainers.folder import CHAMPION, CONFIG, METRICS, RESULT, load_run
 from neatq_trainers.rows import Row
 from neatq_trainers.run import Run
 from neatq_trainers.train import Session, resume, start
-from neatq_trainers.workers import fitting_workers, open_workers
+from neatq_trainers.workers import fitting_workers, open_team
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 Tiny = Callable[..., RunConfig]
@@ -113,6 +113,29 @@ def test_a_run_goes_on_with_another_number_of_processes(tiny_walk: Tiny, tmp_pat
     start(replace(config, steps=300), tmp_path / "run")
     resume(tmp_path / "run", steps=800, workers=2)
     assert same_files(tmp_path / "whole", tmp_path / "run")
+
+
+def test_three_parts_go_on_in_two_processes_and_in_one(config: RunConfig, tmp_path: Path) -> None:
+    islands = config.changed({"migration": {"every_ticks": 80}})
+    start(islands, tmp_path / "whole")
+    start(replace(islands, ticks=120), tmp_path / "run", workers=3)
+    born = len(multiprocessing.active_children())
+    seen = list[int]()
+    for ticks, workers in ((200, 2), (280, 1), (320, None)):
+        counting = Counting(seen)
+        resume(tmp_path / "run", ticks=ticks, workers=workers, callbacks=[counting])
+    assert [one - born for one in seen] == [2, 0, 0]  # by default one here, where one core is
+    assert same_files(tmp_path / "whole", tmp_path / "run")
+
+
+class Counting(Callback):
+    """Counts the processes of a run."""
+
+    def __init__(self, seen: list[int]) -> None:
+        self.seen = seen
+
+    def start(self, session: Session) -> None:
+        self.seen.append(len(multiprocessing.active_children()))
 
 
 def interrupt_everybody() -> None:
@@ -233,10 +256,10 @@ def test_a_worker_that_dies_leaves_a_checkpoint_and_says_what_to_do(
 def test_an_error_in_a_worker_is_raised_here_with_its_traceback(config: RunConfig) -> None:
     broken = {"tick": 40}
     with (
-        open_workers(config.split(2), [None, broken], None, [], Crew(2)) as workers,
+        open_team(config.split(2), [None, broken], None, [], Crew(2)) as team,
         pytest.raises(CheckpointError, match="populations") as caught,
     ):
-        answers_of(workers, "snapshot")
+        team.asked("snapshot")
     assert "_populations" in caught.value.__notes__[0]
     assert multiprocessing.active_children() == []
 

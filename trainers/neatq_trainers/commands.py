@@ -209,8 +209,8 @@ class ResumeCommand:
     """Another return of the champion that ends a run on a Gymnasium task; without it the run's own
     counts on, but a run that has reached its own goes on, without one, to another length."""
     workers: int | None = None
-    """Processes among which Gymnasium environments are dealt; default: those that fit this machine.
-    Arenas stay with as many processes as the run was begun with."""
+    """Processes; default: those that fit the machines. Arenas stay in as many parts as the run was
+    begun with, and no more processes than that have work."""
     cluster: str | None = None
     """A Ray cluster on which these live: auto, ray://HOST:10001, or local, which begins one."""
 

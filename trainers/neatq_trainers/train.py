@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from neatq_envs.machines import Crew, Distant, Machines, answers_of, open_machines
+from neatq_envs.machines import Crew, Machines, open_machines
 from neatq_envs.pool import TRIES
 from neatq_envs.processes import MachinesLeft, ProcessEnded, unguarded_script
 from neatq_envs.random_play import EnvFacts
@@ -38,7 +38,7 @@ from neatq_trainers.rows import ReturnRow, Row
 from neatq_trainers.saved import best_score
 from neatq_trainers.session import Session
 from neatq_trainers.signals import ending_by_signals, noting_signals, raise_for
-from neatq_trainers.workers import fitting_workers, open_workers
+from neatq_trainers.workers import Team, fitting_workers, open_team
 from neatq_trainers.worlds import facts_of
 
 STRIDES_AHEAD = 8
@@ -141,8 +141,8 @@ def _begin(
         discount = getattr(config.learner, "discount", 0.99)
         facts = facts_of(config.world, discount, apart=crew.machines if crew.size > 1 else None)
         states = [None] * len(parts)
-        team = stack.enter_context(open_workers(parts, states, facts, everybody, crew))
-        begun = answers_of(team, "snapshot")  # what cannot be built leaves no folder
+        team = stack.enter_context(open_team(parts, states, facts, everybody, crew))
+        begun = team.asked("snapshot")  # what cannot be built leaves no folder
         path.mkdir(parents=True, exist_ok=True)
         stack.enter_context(locked(path))
         folder = RunFolder.create(path, config)
@@ -206,8 +206,8 @@ def resume(
         generations: Another length.
         until: Another return that ends it, as in `train`; without it the run's own counts on. A run
             that has reached its own goes on, without one, to another length.
-        workers: Processes among which Gymnasium environments are dealt; arenas stay with as many
-            processes as the run was begun with.
+        workers: Processes; by default those that fit the machines. Arenas stay in as many parts as
+            the run was begun with, and no more processes than that have work.
         cluster: Where these processes live, as in `train`; however many cores there are.
         callbacks: Called while it trains.
 
@@ -246,10 +246,10 @@ def _go_on(
         states, parts = state["runs"], config.split(len(state["runs"]))
         facts = None if state["facts"] is None else EnvFacts.from_dict(state["facts"])
         everybody = [kind() for kind in BUILT_IN] + [*callbacks]
-        crew = _crew(workers, config, machines)
-        team = stack.enter_context(open_workers(parts, states, facts, everybody, crew))
+        crew = _crew(workers, config, machines, len(parts))
+        team = stack.enter_context(open_team(parts, states, facts, everybody, crew))
         for change in folder.record.settings():
-            answers_of(team, "make", change)
+            team.asked("make", change)
         session = Session(config=config, folder=folder, facts=facts, lengths=state["done"])
         session.migrations = states[0].get("migrations", 0)
         session.score = best_score(state) if config.until is not None else -math.inf
@@ -274,10 +274,15 @@ def default_folder(config: RunConfig) -> Path:
     return Path("runs") / f"{name}-{arm}-seed{config.seed}"
 
 
-def _crew(workers: int | None, config: RunConfig, machines: Machines) -> Crew:
+def _crew(workers: int | None, config: RunConfig, machines: Machines, parts: int = 1) -> Crew:
+    """Those who train a run; `parts` are those that it has already."""
     if workers is not None and workers < 1:
         raise ConfigError(f"workers: expected at least 1, got {workers}")
-    fitting = fitting_workers(config, machines) if workers is None else workers
+    fitting = workers
+    if fitting is None and parts > 1:
+        fitting = max(1, min(parts, machines.cores()))
+    elif fitting is None:
+        fitting = fitting_workers(config, machines)
     if machines.elastic or workers is not None or fitting == 1:
         return Crew(fitting, machines)
     if (script := unguarded_script()) is not None:
@@ -290,7 +295,7 @@ def _crew(workers: int | None, config: RunConfig, machines: Machines) -> Crew:
     return Crew(fitting, machines)
 
 
-def _train(session: Session, workers: Sequence[Distant], callbacks: Sequence[Callback]) -> None:
+def _train(session: Session, team: Team, callbacks: Sequence[Callback]) -> None:
     """Train until the run has its length or is solved, or until somebody stops it.
 
     Raises:
@@ -300,7 +305,10 @@ def _train(session: Session, workers: Sequence[Distant], callbacks: Sequence[Cal
     unit, total = session.config.length
     # Only ticks are known before they are over, and not where a stride is a generation.
     known = unit == "ticks" and not session.config.generational
-    ahead, stride = STRIDES_AHEAD if len(workers) > 1 and known else 1, session.config.stride_ticks
+    ahead, stride = (
+        STRIDES_AHEAD if len(team.hosts) > 1 and known else 1,
+        session.config.stride_ticks,
+    )
     under_way, unsaved = 0, False
     for callback in callbacks:
         callback.start(session)
@@ -314,19 +322,18 @@ def _train(session: Session, workers: Sequence[Distant], callbacks: Sequence[Cal
             due = session.lengths["ticks"] + soon >= stop
             wanted = not session.over and not due and session.done + soon < total
             if wanted and not pausing and under_way < ahead:
-                for worker in workers:
-                    worker.ask("stride")
+                team.ask("stride")
                 under_way += 1
             elif under_way:
-                _take(session, [worker.answer() for worker in workers], callbacks)
+                _take(session, team.answers(), callbacks)
                 under_way, unsaved = under_way - 1, True
-            elif _migrate(session, workers) or _change(session, workers, callbacks):
+            elif _migrate(session, team) or _change(session, team, callbacks):
                 unsaved = True
             elif session.paused and not saving and not session.over:
                 for callback in callbacks:
                     callback.idle(session)
             else:  # nobody is at work
-                snapshots = answers_of(workers, "snapshot")
+                snapshots = team.asked("snapshot")
                 session.folder.save(snapshots, session.facts, session.lengths)
                 session.wants_checkpoint = unsaved = False
                 for callback in callbacks:
@@ -351,34 +358,32 @@ def _ending_by(signals: Sequence[int]) -> Iterator[None]:
         raise
 
 
-def _migrate(session: Session, workers: Sequence[Distant]) -> bool:
+def _migrate(session: Session, team: Team) -> bool:
     """Let arenas exchange genomes if it is time; whether it was."""
     config, times = session.config, session.migrations
     if session.over or session.lengths["ticks"] < session.next_migration:
         return False
     assert config.migration is not None
-    leaving = [own for part in answers_of(workers, "emigrants", times) for own in part]
+    parts = team.asked("emigrants", times)
+    leaving = [own for part in parts for own in part]
     ways = routes(config.migration, config.arenas, config.seed, times)
     arriving = arrivals(leaving, ways)
-    borders = pairwise([*config.first_arenas(len(workers)), config.arenas])
-    for worker, (first, end) in zip(workers, borders, strict=True):
-        worker.ask("immigrate", arriving[first:end])
-    for worker in workers:
-        worker.answer()
+    borders = pairwise([*config.first_arenas(len(parts)), config.arenas])
+    team.deal("immigrate", [arriving[first:end] for first, end in borders])
     session.migrations += 1
     return True
 
 
-def _change(session: Session, workers: Sequence[Distant], callbacks: Sequence[Callback]) -> bool:
+def _change(session: Session, team: Team, callbacks: Sequence[Callback]) -> bool:
     """Make the next change that is due, recorded or wanted; whether there was any."""
     record = session.folder.record
     if record.next_tick() <= session.lengths["ticks"]:
         change = record.entries[record.made].change
-        answers_of(workers[:1], "check", change)  # it may be the record of a run of another kind
+        team.first("check", change)  # it may be the record of a run of another kind
     elif session.wanted:
         change = session.wanted.popleft()
         try:
-            answers_of(workers[:1], "check", change)
+            team.first("check", change)
             record.add(session.lengths["ticks"], change)
         except REFUSALS as error:
             for callback in callbacks:
@@ -388,7 +393,7 @@ def _change(session: Session, workers: Sequence[Distant], callbacks: Sequence[Ca
         return False
     for callback in callbacks:
         callback.changing(session, change)
-    answers_of(workers if change.everywhere else workers[:1], "make", change)
+    (team.asked if change.everywhere else team.first)("make", change)
     record.made += 1
     for callback in callbacks:
         callback.changed(session, change)

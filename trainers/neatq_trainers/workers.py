@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import torch
@@ -105,33 +106,110 @@ class Worker:
         self._run.world.close()
 
 
-def _in_process(tells: bool, *arguments: Any) -> Worker:
+class Host:
+    """The workers of some parts of a run, in one process.
+
+    Args:
+        parts: The first arguments of each `Worker`.
+        crew: Of the only one.
+        tells: Whether one of them tells of compiling.
+    """
+
+    def __init__(
+        self, parts: Sequence[tuple[Any, ...]], crew: Crew | None = None, *, tells: bool = True
+    ) -> None:
+        self._closing, self._workers = ExitStack(), list[Worker]()
+        with self._closing:
+            for number, part in enumerate(parts):
+                self._workers.append(Worker(*part, crew, tells=tells and number == 0))
+                self._closing.callback(self._workers[-1].close)
+            self._closing = self._closing.pop_all()
+
+    def every(self, method: str, *arguments: Any) -> list[Any]:
+        """What all workers answer to the same."""
+        return [getattr(one, method)(*arguments) for one in self._workers]
+
+    def each(self, method: str, shares: Sequence[Any]) -> list[Any]:
+        """What the first workers answer to a share each, as many as there are."""
+        pairs = zip(self._workers, shares, strict=False)
+        return [getattr(one, method)(share) for one, share in pairs]
+
+    def close(self) -> None:
+        """Close them."""
+        self._closing.close()
+
+
+def _host_in_process(tells: bool, parts: Sequence[tuple[Any, ...]]) -> Host:
     torch.set_num_threads(1)
-    return Worker(*arguments, tells=tells)
+    return Host(parts, tells=tells)
+
+
+class Team:
+    """All workers of a run, in the order of its parts, wherever their hosts are.
+
+    Args:
+        hosts: Each is a `Host`.
+        first_parts: The number of the first part of each.
+    """
+
+    def __init__(self, hosts: Sequence[Distant], first_parts: Sequence[int]) -> None:
+        self.hosts, self._first_parts = hosts, first_parts
+
+    def ask(self, method: str, *arguments: Any) -> None:
+        """Have a method of all called."""
+        for host in self.hosts:
+            host.ask("every", method, *arguments)
+
+    def answers(self) -> list[Any]:
+        """What each answers to what it was asked the longest ago."""
+        return [one for host in self.hosts for one in host.answer()]
+
+    def asked(self, method: str, *arguments: Any) -> list[Any]:
+        """What each answers, with nothing else under way."""
+        self.ask(method, *arguments)
+        return self.answers()
+
+    def first(self, method: str, argument: Any) -> Any:
+        """What the first answers, likewise."""
+        self.hosts[0].ask("each", method, [argument])
+        return self.hosts[0].answer()[0]
+
+    def deal(self, method: str, shares: Sequence[Any]) -> list[Any]:
+        """What each answers to its share, likewise."""
+        for host, (first, end) in zip(
+            self.hosts, pairwise([*self._first_parts, len(shares)]), strict=True
+        ):
+            host.ask("each", method, shares[first:end])
+        return self.answers()
 
 
 @contextmanager
-def open_workers(
+def open_team(
     parts: Sequence[RunConfig],
     states: Sequence[State | None],
     facts: EnvFacts | None,
     callbacks: Sequence[Callback],
     crew: Crew,
-) -> Iterator[Sequence[Distant]]:
-    """A `Worker` for each part of a run: in this process if there is one part, else elsewhere."""
+) -> Iterator[Team]:
+    """A `Worker` for each part of a run, in as many processes as the crew has.
+
+    One process is this one. There the environments of a run of one part are dealt to the crew.
+    """
     own = [one for one in callbacks if _is_called_there(one)]
+    everything = [(part, state, facts, own) for part, state in zip(parts, states, strict=True)]
+    hosts = min(len(parts), crew.size)
+    first_parts = [len(parts) * host // hosts for host in range(hosts)]
     with ExitStack() as stack:
         opened: list[Distant] = []
-        for config, state in zip(parts, states, strict=True):
-            arguments = config, state, facts, own
-            if len(parts) == 1:
-                opened.append(Here(Worker(*arguments, crew)))
+        for first, end in pairwise([*first_parts, len(parts)]):
+            if hosts == 1:
+                host: Distant = Here(Host(everything, crew if len(parts) == 1 else None))
             else:
-                tells = not opened  # one of them tells what all of them do
-                everything = _in_process, tells, *arguments
-                opened.append(crew.machines.open(*everything, together=len(parts)))
-            stack.callback(opened[-1].close)
-        yield opened
+                dealt = _host_in_process, first == 0, everything[first:end]
+                host = crew.machines.open(*dealt, together=hosts)
+            opened.append(host)
+            stack.callback(host.close)
+        yield Team(opened, first_parts)
 
 
 def _is_called_there(callback: Callback) -> bool:
