@@ -42,7 +42,8 @@ class Kept:
             setattr(self, name, value)
 
 
-TrialAverage, TrialWeight = Literal["recent"], Literal["growing"]
+TrialAverage = Literal["recent"]
+TrialWeight = Literal["growing"]
 
 
 class Trials(Kept):

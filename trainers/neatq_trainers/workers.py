@@ -106,17 +106,21 @@ class Worker:
         self._run.world.close()
 
 
+Part = tuple[RunConfig, State | None, EnvFacts | None, Sequence[Callback]]
+"""What a `Worker` is made of."""
+
+
 class Host:
     """The workers of some parts of a run, in one process.
 
     Args:
-        parts: The first arguments of each `Worker`.
+        parts: A worker for each.
         crew: Of the only one.
         tells: Whether one of them tells of compiling.
     """
 
     def __init__(
-        self, parts: Sequence[tuple[Any, ...]], crew: Crew | None = None, *, tells: bool = True
+        self, parts: Sequence[Part], crew: Crew | None = None, *, tells: bool = True
     ) -> None:
         self._closing, self._workers = ExitStack(), list[Worker]()
         with self._closing:
@@ -139,7 +143,7 @@ class Host:
         self._closing.close()
 
 
-def _host_in_process(tells: bool, parts: Sequence[tuple[Any, ...]]) -> Host:
+def _host_in_process(tells: bool, parts: Sequence[Part]) -> Host:
     torch.set_num_threads(1)
     return Host(parts, tells=tells)
 
