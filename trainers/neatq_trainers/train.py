@@ -38,7 +38,7 @@ from neatq_trainers.rows import ReturnRow, Row
 from neatq_trainers.saved import best_score
 from neatq_trainers.session import Session
 from neatq_trainers.signals import ending_by_signals, noting_signals, raise_for
-from neatq_trainers.workers import Team, fitting_workers, open_team
+from neatq_trainers.workers import Workforce, fitting_workers, open_team
 from neatq_trainers.worlds import facts_of
 
 STRIDES_AHEAD = 8
@@ -295,7 +295,7 @@ def _crew(workers: int | None, config: RunConfig, machines: Machines, parts: int
     return Crew(fitting, machines)
 
 
-def _train(session: Session, team: Team, callbacks: Sequence[Callback]) -> None:
+def _train(session: Session, team: Workforce, callbacks: Sequence[Callback]) -> None:
     """Train until the run has its length or is solved, or until somebody stops it.
 
     Raises:
@@ -358,7 +358,7 @@ def _ending_by(signals: Sequence[int]) -> Iterator[None]:
         raise
 
 
-def _migrate(session: Session, team: Team) -> bool:
+def _migrate(session: Session, team: Workforce) -> bool:
     """Let arenas exchange genomes if it is time; whether it was."""
     config, times = session.config, session.migrations
     if session.over or session.lengths["ticks"] < session.next_migration:
@@ -374,7 +374,7 @@ def _migrate(session: Session, team: Team) -> bool:
     return True
 
 
-def _change(session: Session, team: Team, callbacks: Sequence[Callback]) -> bool:
+def _change(session: Session, team: Workforce, callbacks: Sequence[Callback]) -> bool:
     """Make the next change that is due, recorded or wanted; whether there was any."""
     record = session.folder.record
     if record.next_tick() <= session.lengths["ticks"]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from copy import deepcopy
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -124,8 +125,10 @@ class Host:
     ) -> None:
         self._closing, self._workers = ExitStack(), list[Worker]()
         with self._closing:
-            for number, part in enumerate(parts):
-                self._workers.append(Worker(*part, crew, tells=tells and number == 0))
+            for number, (config, state, facts, callbacks) in enumerate(parts):
+                own = callbacks if len(parts) == 1 else deepcopy(callbacks)  # as in other processes
+                arguments = config, state, facts, own, crew
+                self._workers.append(Worker(*arguments, tells=tells and number == 0))
                 self._closing.callback(self._workers[-1].close)
             self._closing = self._closing.pop_all()
 
@@ -148,7 +151,7 @@ def _host_in_process(tells: bool, parts: Sequence[Part]) -> Host:
     return Host(parts, tells=tells)
 
 
-class Team:
+class Workforce:
     """All workers of a run, in the order of its parts, wherever their hosts are.
 
     Args:
@@ -194,7 +197,7 @@ def open_team(
     facts: EnvFacts | None,
     callbacks: Sequence[Callback],
     crew: Crew,
-) -> Iterator[Team]:
+) -> Iterator[Workforce]:
     """A `Worker` for each part of a run, in as many processes as the crew has.
 
     One process is this one. There the environments of a run of one part are dealt to the crew.
@@ -213,7 +216,7 @@ def open_team(
                 host = crew.machines.open(*dealt, together=hosts)
             opened.append(host)
             stack.callback(host.close)
-        yield Team(opened, first_parts)
+        yield Workforce(opened, first_parts)
 
 
 def _is_called_there(callback: Callback) -> bool:
