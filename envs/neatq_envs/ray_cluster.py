@@ -169,9 +169,8 @@ def connected(address: str) -> Iterator[RayCluster]:
         ends = signal.getsignal(signal.SIGTERM)
         context: Any = ray.init(address, runtime_env=_surroundings(), **quiet)
         if threading.current_thread() is threading.main_thread():
-            signal.signal(
-                signal.SIGTERM, ends or signal.SIG_DFL
-            )  # Ray would end without a checkpoint
+            # Ray's own would end a run without a checkpoint.
+            signal.signal(signal.SIGTERM, ends or signal.SIG_DFL)
     except (ConnectionError, RuntimeError, ValueError, RayError) as error:
         words = str(error).strip().partition("\n")[0]
         raise ClusterError(f"cluster: no Ray at {address}: {words}") from error

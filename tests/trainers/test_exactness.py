@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,12 +16,10 @@ import numpy as np
 import pytest
 
 from neatq_trainers.build import build
-from neatq_trainers.callbacks import Callback
 from neatq_trainers.cli import main
 from neatq_trainers.config import RunConfig
 from neatq_trainers.folder import CHAMPION, CHECKPOINT, CONFIG, METRICS, RESULT, SCALING, load_run
-from neatq_trainers.rows import Row
-from neatq_trainers.train import Session, resume, start
+from neatq_trainers.train import resume, start
 from neatq_trainers.worlds import facts_of
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
@@ -128,18 +126,6 @@ def done(folder: Path, unit: str = "ticks") -> int:
     return load_run(folder).read()["done"][unit]
 
 
-class Rows(Callback):
-    """Does something when a run is as long as that, once."""
-
-    def __init__(self, ticks: int, act: Callable[[], object]) -> None:
-        self.ticks, self.act = ticks, act
-
-    def rows(self, session: Session, rows: Sequence[Row]) -> None:
-        if session.lengths["ticks"] >= self.ticks:
-            self.ticks = 10**9
-            self.act()
-
-
 def power_cut() -> None:
     raise RuntimeError("power cut")
 
@@ -208,9 +194,9 @@ def test_a_run_that_is_lengthened_is_the_longer_run(
     "case", ["wall described", "wall neat+q", "wall qlearning", "walk neat", "walk neatq"]
 )
 def test_a_run_that_is_interrupted_by_ctrl_c_goes_on_exactly(
-    case: str, whole: Whole, config_of: ConfigOf, same_run: Same, tmp_path: Path
+    case: str, whole: Whole, config_of: ConfigOf, same_run: Same, tmp_path: Path, late: Any
 ) -> None:
-    press = Rows(90, lambda: signal.raise_signal(signal.SIGINT))
+    press = late(90, lambda: signal.raise_signal(signal.SIGINT))
     with pytest.raises(KeyboardInterrupt):
         start(config_of(case), tmp_path / "run", callbacks=[press])
     assert 90 <= done(tmp_path / "run") < done(whole(case))
@@ -221,10 +207,10 @@ def test_a_run_that_is_interrupted_by_ctrl_c_goes_on_exactly(
 
 @pytest.mark.parametrize("case", ["wall neatq", "wall qlearning", "walk neat+q", "walk rtneat"])
 def test_a_run_that_dies_before_its_first_stride_is_over_goes_on_exactly(
-    case: str, whole: Whole, config_of: ConfigOf, same_run: Same, tmp_path: Path
+    case: str, whole: Whole, config_of: ConfigOf, same_run: Same, tmp_path: Path, late: Any
 ) -> None:
     with pytest.raises(RuntimeError, match="power cut"):
-        start(config_of(case), tmp_path / "run", callbacks=[Rows(0, power_cut)])
+        start(config_of(case), tmp_path / "run", callbacks=[late(0, power_cut)])
     assert done(tmp_path / "run") == 0
     resume(tmp_path / "run")
     same_run(whole(case), tmp_path / "run")
@@ -234,11 +220,11 @@ def test_a_run_that_dies_before_its_first_stride_is_over_goes_on_exactly(
     ("case", "row"), [("wall rtneat", "0,300,1.0,2.0\n0,400,3"), ("walk neat", "0,3,7")]
 )
 def test_rows_written_after_the_checkpoint_and_half_a_row_are_cut_off(
-    case: str, row: str, whole: Whole, config_of: ConfigOf, tmp_path: Path
+    case: str, row: str, whole: Whole, config_of: ConfigOf, tmp_path: Path, late: Any
 ) -> None:
     folder, often = tmp_path / "run", replace(config_of(case), checkpoint_seconds=0.0)
     with pytest.raises(RuntimeError, match="power cut"):
-        start(often, folder, callbacks=[Rows(200 if "wall" in case else 80, power_cut)])
+        start(often, folder, callbacks=[late(200 if "wall" in case else 80, power_cut)])
     before = len((folder / METRICS).read_bytes())
     assert before > load_run(folder).read()["metrics_bytes"]
     with (folder / METRICS).open("a") as file:

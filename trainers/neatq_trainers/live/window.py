@@ -100,7 +100,7 @@ class Window(Callback):
             ConfigError: Always.
         """
         raise ConfigError(
-            "the window looks into one process, and this run was begun with several, which it "
+            "the window looks into one part of a run, and this one was begun in several, which it "
             "keeps; begin a run with --workers 1, or with neatq play"
         )
 
