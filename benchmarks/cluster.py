@@ -7,8 +7,14 @@
   beside the two seconds that twenty of them take: what is on top is the work of driver and actors,
   about a millisecond for each message, which all share two cores here. With ten environments each
   it was 1,073 ms beside 1,000, 93 % of ideal. They sleep, so two cores are enough;
-- a step of environments that cost nothing, twenty to each of 64 actors: 1,280 rows in that time are
-  all that a driver feeds. From this the note says at how many cores it is saturated.
+- a step of environments that cost nothing, twenty to each of 64 actors, and all work of actors in
+  it;
+- what the driver itself does (its CPU time) for twenty ticks of environments that cost nothing,
+  twenty to each of 16 actors: as `neatq train` does it, where networks act in the actors and a
+  batch is one message (`neatq_trainers.rollouts`), beside twenty steps from here. From this the
+  note says at how many cores a driver is saturated. Actors of a run have torch, 300 MB each, so
+  there are 16 and not 64;
+- what the driver of such a run grows by over 10,000 batches, from two actors.
 
 All on a cluster that is begun on this machine; the wall time of other work is in it. Needs the
 extra `ray`.
@@ -18,21 +24,33 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tensordict import TensorDictBase
+from torch import Tensor
 
-from benchmarks.measure import in_rounds
+from benchmarks.measure import in_rounds, resident_bytes
+from benchmarks.memory import SAMPLES, growth
 from benchmarks.result import Goal, Line, compare
 from neatq_envs.gymnasium_rows import make_rows
 from neatq_envs.gymnasium_task import GymnasiumTask
 from neatq_envs.machines import Crew, Distant, Machines, ThisMachine, open_machines
 from neatq_envs.pool import Pool
+from neatq_torch import preset
+from neatq_trainers.build import build
+from neatq_trainers.callbacks import Callback
+from neatq_trainers.config import EPISODIC_BATCH_TICKS
+from neatq_trainers.loop import make_collector, strides
+from neatq_trainers.run import Run
+from neatq_trainers.worlds import facts_of
 
 ACTORS, ROWS_EACH, STEP_SECONDS = 64, 20, 0.1
+RUN_ACTORS, BATCHES = 16, 10_000
+SLEEPING = "benchmarks.sleeping:Sleeping-v0"
 TASKS, HANDS, MESSAGES = 100, 2, 200
 SATURATED = (0.001, 0.01, 0.1)
 """Seconds of a step for which the note says how many cores a driver feeds."""
@@ -58,8 +76,15 @@ def run(quick: bool) -> list[Line]:
             slow = in_rounds({"step": lambda: step(5)}, rounds=rounds)["step"]
         with _rows(crew, 0.0) as step:
             free = in_rounds({"step": lambda: step(50)}, rounds=rounds)["step"]
+        few = Crew(min(actors, RUN_ACTORS), cluster)
+        with _rows(few, 0.0) as step, _batches(few.beside) as batch:
+            ticks = EPISODIC_BATCH_TICKS
+            ways = {"rollouts": lambda: _cpu(batch), "steps": lambda: _cpu(lambda: step(ticks))}
+            driver = in_rounds(ways, rounds=rounds)
+        batches = BATCHES // 100 if quick else BATCHES
+        resident = _resident(Crew(2, cluster).beside, batches)
     ideal = np.full(rounds, ROWS_EACH * STEP_SECONDS)
-    fed = actors * ROWS_EACH / float(np.median(free))
+    fed = few.size * ROWS_EACH * ticks / float(np.median(driver["rollouts"]))
     cores = ", ".join(f"{fed * one:,.0f} cores at {1000 * one:g} ms" for one in SATURATED)
     near = Goal(text="at least 95 % of ideal", limit=1 / 0.95, of="ratio")
     rows = f"{actors} actors, {ROWS_EACH} environments each"
@@ -69,12 +94,16 @@ def run(quick: bool) -> list[Line]:
         compare(
             f"a step of 100 ms: {rows}", slow * 1e3, "ideal", ideal * 1e3, unit="ms", goal=near
         ),
+        compare(f"a step that costs nothing: {rows}", free * 1e3, unit="ms"),
         compare(
-            f"a step that costs nothing: {rows}",
-            free * 1e3,
+            f"the driver, {ticks} ticks: {few.size} actors, {ROWS_EACH} environments each",
+            driver["rollouts"] * 1e3,
+            "single steps",
+            driver["steps"] * 1e3,
             unit="ms",
             note=f"{fed:,.0f} environment steps/s; a driver is saturated by {cores} a step.",
         ),
+        growth(f"the driver, {batches:,} batches from 2 actors", resident, batches, "batches"),
     ]
 
 
@@ -118,7 +147,7 @@ def _call_seconds(machines: Machines) -> Callable[[], float]:
 @contextmanager
 def _rows(crew: Crew, seconds: float) -> Any:
     """What measures so many steps of environments that are dealt to a crew; seconds of one."""
-    task = GymnasiumTask(id="benchmarks.sleeping:Sleeping-v0", kwargs={"seconds": seconds})
+    task = GymnasiumTask(id=SLEEPING, kwargs={"seconds": seconds})
     rows, _ = make_rows(task, crew=crew)
     count = crew.size * ROWS_EACH
     mask, actions = np.ones(count, bool), np.zeros((count, 2), np.float32)
@@ -133,3 +162,45 @@ def _rows(crew: Crew, seconds: float) -> Any:
     yield step
     with suppress(AttributeError):
         rows.close()
+
+
+@contextmanager
+def _batches(crew: Crew) -> Iterator[Callable[[], object]]:
+    """The next batch of a run whose environments, which cost nothing, are dealt to a crew."""
+    config = preset(f"gym:{SLEEPING}", "neat").changed({"world.slots": crew.size * ROWS_EACH})
+    run = build(config, facts=facts_of(config.world, 0.99), crew=crew)
+    batches = iter(make_collector(run))
+    next(batches)  # all have begun
+    yield lambda: next(batches)
+    run.world.close()
+
+
+class _Watch(Callback):
+    """Notes the resident bytes of this process after so many batches each."""
+
+    def __init__(self, every: int) -> None:
+        self.every, self.batches, self.samples = every, 0, list[tuple[int, int]]()
+
+    def batch(self, run: Run, batch: TensorDictBase, error: Tensor) -> None:
+        self.batches += 1
+        if self.batches % self.every == 0:
+            self.samples.append((self.batches, resident_bytes(os.getpid())))
+
+
+def _resident(crew: Crew, batches: int) -> np.ndarray:
+    """Batches so far and resident bytes [samples, 2] of the driver of a run."""
+    config = preset(f"gym:{SLEEPING}", "neat").changed({"world.slots": 2 * crew.size})
+    run = build(config, facts=facts_of(config.world, 0.99), crew=crew)
+    watch = _Watch(batches // SAMPLES)
+    for _ in strides(run, [watch]):
+        if watch.batches >= batches:
+            break
+    run.world.close()
+    return np.array([one for one in watch.samples if one[0] <= batches])
+
+
+def _cpu(work: Callable[[], object]) -> float:
+    """CPU seconds of this process for some work."""
+    began = time.process_time()
+    work()
+    return time.process_time() - began

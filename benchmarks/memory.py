@@ -138,18 +138,28 @@ def run_long(ticks: int) -> list[Line]:
     """The resident set of a run of so many ticks."""
     with tempfile.TemporaryDirectory() as folder:
         samples = _watch(Path(folder) / "run", ticks)
-    half = samples[samples[:, 0] >= ticks / 2]
+    return [growth(f"{ticks:,} ticks of 1 x 50 robots", samples, ticks, "ticks")]
+
+
+def growth(what: str, samples: np.ndarray, length: int, unit: str) -> Line:
+    """What a process grows by in a thousand of the second half of a run.
+
+    Args:
+        what: Is measured.
+        samples: How far the run was, and resident bytes [samples, 2].
+        length: Of the run.
+        unit: Of its length.
+    """
+    half = samples[samples[:, 0] >= length / 2]
     slope = np.polyfit(half[:, 0] / 1000, half[:, 1], 1)[0]
     course = ", ".join(f"{size / 2**20:.0f}" for _, size in samples)
-    return [
-        compare(
-            f"{ticks:,} ticks of 1 x 50 robots: growth in 1,000 ticks of the second half",
-            np.array([slope]),
-            unit="bytes",
-            goal=cost_at_most(0.01 * half[0, 1] / (ticks / 2000), "flat: 1 % in that half"),
-            note=f"MiB, every {ticks // SAMPLES:,} ticks: {course}.",
-        )
-    ]
+    return compare(
+        f"{what}: growth in 1,000 {unit} of the second half",
+        np.array([slope]),
+        unit="bytes",
+        goal=cost_at_most(0.01 * half[0, 1] / (length / 2000), "flat: 1 % in that half"),
+        note=f"MiB, every {length // SAMPLES:,} {unit}: {course}.",
+    )
 
 
 def _watch(out: Path, ticks: int) -> np.ndarray:

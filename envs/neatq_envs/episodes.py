@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -64,6 +64,29 @@ class Starts:
         table = np.asarray(seeds, np.int64)
         rows, episodes = table.shape
         return Starts(rows, episodes, lambda row, episode: int(table[row, episode]))
+
+
+def rows_of(state: Mapping[str, Any], rows: slice) -> dict[str, np.ndarray]:
+    """The part of a state of `EpisodeRows` that is of some rows."""
+    own = {name: np.asarray(state[name])[rows] for name in _EPISODE_ARRAYS}
+    actions = np.asarray(state["actions"])
+    return own | {"actions": actions[:, rows] if len(actions) else actions}
+
+
+def side_by_side(states: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The opposite of `rows_of`: the state of all rows."""
+    own = {name: np.concatenate([one[name] for one in states]) for name in _EPISODE_ARRAYS}
+    longest = max(len(one["actions"]) for one in states)
+    if not longest:
+        return own | {"actions": np.zeros(0, np.float32)}
+    width = max(one["actions"].shape[-1] for one in states if len(one["actions"]))
+    actions = []
+    for one in states:
+        steps, rows = len(one["actions"]), len(one["reward"])
+        taken = one["actions"] if steps else np.zeros((0, rows, width), np.float32)
+        none = np.zeros((longest - steps, rows, width), np.float32)
+        actions.append(np.concatenate([none, taken]))
+    return own | {"actions": np.concatenate(actions, axis=1)}
 
 
 class EpisodeRows:
@@ -139,11 +162,16 @@ class EpisodeRows:
     def state(self) -> dict[str, np.ndarray]:
         """All arrays, and the actions of the episodes under way, float32 [steps, rows, actions].
 
-        Row i has taken the last `step_count[i]` of these actions in its episode.
+        Row i has taken the last `step_count[i]` of these actions in its episode; those before, and
+        of idle rows all, are 0.
         """
         self._forget()
         arrays = {name: getattr(self, name).copy() for name in _EPISODE_ARRAYS}
-        return arrays | {"actions": np.array([*self._actions], np.float32)}
+        actions = np.array([*self._actions], np.float32)
+        if len(actions):
+            taken = np.where(self.living, self.step_count, 0)
+            actions[np.arange(len(actions))[:, None] < len(actions) - taken] = 0
+        return arrays | {"actions": actions}
 
     def load_state(self, state: Mapping[str, Any], starts: Starts) -> None:
         """Continue from a `state` of as many rows that began with these starts.

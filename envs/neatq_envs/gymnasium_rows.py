@@ -116,14 +116,24 @@ class SingleRows:
 class DealtRows:
     """Rows dealt to processes, with a `SingleRows` in each; a step is one message to and fro.
 
-    Rows that stand together live together. Arguments are those of `SingleRows`, and the processes.
+    Rows that stand together live together. Arguments are those of `SingleRows`, the processes, and
+    what lives in each.
+
+    Attributes:
+        remotes: A `kind` each.
     """
 
     def __init__(
-        self, task: GymnasiumTask, interface: Interface, *, renewed: bool, crew: Crew
+        self,
+        task: GymnasiumTask,
+        interface: Interface,
+        *,
+        renewed: bool,
+        crew: Crew,
+        kind: type[SingleRows] = SingleRows,
     ) -> None:
         self.interface = interface
-        self._remotes = crew.open(SingleRows, task, interface, renewed)
+        self.remotes = crew.open(kind, task, interface, renewed)
 
     def reset(self, mask: Mask, seeds: NDArray[np.int64]) -> np.ndarray:
         """Begin an episode in the rows of a mask."""
@@ -137,7 +147,7 @@ class DealtRows:
 
     def close(self) -> None:
         """End the processes."""
-        for remote in self._remotes:
+        for remote in self.remotes:
             remote.close()
 
     def _all(self, method: str, mask: Mask, values: np.ndarray) -> list[Any]:
@@ -145,13 +155,13 @@ class DealtRows:
 
         After an error the processes are closed: what some of them have begun is not known.
         """
-        parts = len(self._remotes)
+        parts = len(self.remotes)
         masks, shares = np.array_split(mask, parts), np.array_split(values, parts)
         answers, first = [], 0
         try:
-            for remote, own, share in zip(self._remotes, masks, shares, strict=True):
+            for remote, own, share in zip(self.remotes, masks, shares, strict=True):
                 remote.ask(method, own, share)
-            for remote, own in zip(self._remotes, masks, strict=True):
+            for remote, own in zip(self.remotes, masks, strict=True):
                 answers.append(remote.answer())
                 first += len(own)
             return answers
@@ -239,7 +249,11 @@ def interface_of(task: GymnasiumTask) -> Interface:
 
 
 def make_rows(
-    task: GymnasiumTask, *, renewed: bool = False, crew: Crew | None = None
+    task: GymnasiumTask,
+    *,
+    renewed: bool = False,
+    crew: Crew | None = None,
+    kind: type[SingleRows] = SingleRows,
 ) -> tuple[EnvRows, Interface]:
     """The rows of a task and their interface, or a `TaskError`.
 
@@ -248,11 +262,12 @@ def make_rows(
         renewed: Make a new environment for every episode; see `SingleRows`.
         crew: To whom the rows are dealt; of one, or None: they stay in this process, as a
             vectorised environment always does. The results are the same.
+        kind: What each of them gets.
     """
     interface = interface_of(task)
     vector = None if renewed else VectorRows.of(task, interface)
     if vector is None and crew is not None and crew.size > 1:
-        return DealtRows(task, interface, renewed=renewed, crew=crew), interface
+        return DealtRows(task, interface, renewed=renewed, crew=crew, kind=kind), interface
     return vector or SingleRows(task, interface, renewed), interface
 
 

@@ -63,7 +63,11 @@ class GymnasiumRows(RowsEnv):
         episodes: Of each row; None: without end.
         purpose: What the episodes are for; see `episode_seed`.
         name: What messages call the environment.
-        label: What they call a row, counted over all arenas.
+        first_slot: The number of the first slot, where others live elsewhere.
+
+    Attributes:
+        elsewhere: What gives the state of the rows where these live elsewhere and this environment
+            is not stepped; None where they live here. `begin` ends it.
     """
 
     def __init__(
@@ -77,13 +81,18 @@ class GymnasiumRows(RowsEnv):
         episodes: int | None = None,
         purpose: int = TRAINING,
         name: str = "the environment",
-        label: Callable[[int], str] = "row {}".format,
+        first_slot: int = 0,
     ) -> None:
         super().__init__(device=None, batch_size=torch.Size(shape))
         self.interface, self.scaling = interface, scaling
-        self.episodes = EpisodeRows(rows, name, label)
+        slots = shape[1]
+
+        def slot_of(row: int) -> str:
+            return f"slot {first_slot + row % slots} of arena {row // slots}"
+
+        self.episodes = EpisodeRows(rows, name, slot_of)
         self.seeds = self._checked(range(shape[0]) if seeds is None else seeds)
-        self._number, self._purpose = episodes, purpose
+        self._number, self._purpose, self._first_slot = episodes, purpose, first_slot
         inputs = self._size(interface.inputs)
         observed = {
             OBSERVATION: Bounded(
@@ -111,6 +120,7 @@ class GymnasiumRows(RowsEnv):
             raise ValueError(f"starts: expected the seeds of the episodes {words}")
         self.generation, self._given = generation, given
         self._pending, self._restored = True, False
+        self.elsewhere: Callable[[], dict[str, np.ndarray]] | None = None
 
     def rebuild(self) -> None:
         """Nothing needs it; the worlds of `ArenaEnv` do."""
@@ -121,8 +131,15 @@ class GymnasiumRows(RowsEnv):
             "seeds": list(self.seeds),
             "generation": self.generation,
             "starts": self._given,
-            "rows": None if self._pending else self.episodes.state(),
+            "rows": self._rows_state(),
         }
+
+    def _rows_state(self) -> dict[str, np.ndarray] | None:
+        """See `EpisodeRows.state`; None where no step was taken, so that `begin` says it all."""
+        if self.elsewhere is not None:
+            return self.elsewhere()
+        fresh = self._pending or not self.episodes.steps.any()
+        return None if fresh else self.episodes.state()
 
     def load_world_state(self, state: Mapping[str, Any]) -> None:
         """Continue from a `world_state`; `reset()` without a mask then returns it until a step."""
@@ -142,7 +159,8 @@ class GymnasiumRows(RowsEnv):
         seeds, slots, generation = self.seeds, self.batch_size[1], self.generation
 
         def seed(row: int, episode: int) -> int:
-            group = row % slots if self._number is None else generation
+            slot = self._first_slot + row % slots
+            group = slot if self._number is None else generation
             return episode_seed(seeds[row // slots], group, episode, purpose=self._purpose)
 
         return Starts(len(seeds) * slots, self._number, seed)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, dispatch
 from torch import Tensor
 
-from neatq_torch.learning.exploration import ActionNoise, EpsilonGreedy, Seeds
+from neatq_torch.learning.exploration import ActionNoise, EpsilonGreedy, Seeds, state_of_slots
 from neatq_torch.learning.heads import Heads, check_heads
 from neatq_torch.learning.normalization import RunningNormalization
 from neatq_torch.network import PopulationNetwork, fitted
@@ -163,6 +164,22 @@ class CandidatePolicy(TensorDictModuleBase):
             tensordict.set(("next", "network_state"), memory)
             self.memory = memory
         return tensordict
+
+    def part(self, slots: slice) -> CandidatePolicy:
+        """Acts for some slots of all arenas as this one does; of networks [arenas, slots]."""
+        arenas, robots = self._rows
+        own = torch.arange(arenas * robots).view(arenas, robots)[:, slots]
+        part = CandidatePolicy(
+            self.network.part(own.flatten().tolist(), own.shape),
+            self.heads,
+            self.exploration.part(slots),
+            double_activation=self.double_activation,
+            forgets=self.forgets,
+            noise=None if self.noise is None else self.noise.part(slots),
+            normalization=self.normalization,
+        )
+        part.load_state_dict(state_of_slots(self.state_dict(), slots))
+        return part
 
     @property
     def explores(self) -> bool:

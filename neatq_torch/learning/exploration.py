@@ -68,6 +68,34 @@ def drawn_bits(keys: Tensor, first: int) -> Tensor:
     return _scramble(keys.unsqueeze(1) + keys.new_tensor(steps).view(-1, *ones))
 
 
+def state_of_slots(state: dict[str, Any], slots: slice) -> dict[str, Any]:
+    """What a policy, or a part of it, has saved of some slots of all arenas; copies."""
+    return {
+        name: value[:, slots].clone()
+        if isinstance(value, Tensor)
+        else state_of_slots(value, slots)
+        if isinstance(value, dict)
+        else value
+        for name, value in state.items()
+    }
+
+
+def state_of_all(states: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The opposite of `state_of_slots`; where some have more columns, the others get zeros."""
+    return {name: _joined([state[name] for state in states]) for name in states[0]}
+
+
+def _joined(values: Sequence[Any]) -> Any:
+    if isinstance(values[0], dict):
+        return state_of_all(values)
+    if not isinstance(values[0], Tensor):
+        return values[0]  # how many ticks there were
+    if values[0].ndim > 2:
+        columns = max(value.shape[-1] for value in values)
+        values = [nn.functional.pad(one, (0, columns - one.shape[-1])) for one in values]
+    return torch.cat(list(values), dim=1)
+
+
 class EpsilonGreedy(nn.Module):
     """Epsilon-greedy over candidates, for every robot on its own.
 
@@ -130,6 +158,14 @@ class EpsilonGreedy(nn.Module):
         for name in ("held", "until_tick", "_keys", "_chance", "_choice", "_end"):
             self.register_buffer(name, torch.empty(0), persistent=False)
         self.begin(seeds)
+
+    def part(self, slots: slice) -> EpsilonGreedy:
+        """Some slots of all arenas, which go on as they do here."""
+        shape = self.epsilon[:, slots].shape
+        part = EpsilonGreedy(shape, seeds=[0] * shape[0], max_hold_ticks=self.max_hold_ticks)
+        part._keys = self._keys[..., slots].clone()
+        part.load_state_dict(state_of_slots(self.state_dict(), slots))
+        return part.to(self.epsilon.device)
 
     def begin(self, seeds: Seeds) -> None:
         """Start anew: tick 0, nothing held, other chance; epsilon stays.
@@ -245,6 +281,15 @@ class ActionNoise(nn.Module):
         for name in ("_keys", "_drawn"):
             self.register_buffer(name, torch.empty(0), persistent=False)
         self.begin(seeds)
+
+    def part(self, slots: slice) -> ActionNoise:
+        """Some slots of all arenas, which go on as they do here."""
+        shape = self.value[:, slots].shape
+        own = {"scale": self.scale, "persistence": self.persistence}
+        part = ActionNoise(shape[:2], self.actions, seeds=[0] * shape[0], **own)
+        part._keys = self._keys[..., slots].clone()
+        part.load_state_dict(state_of_slots(self.state_dict(), slots))
+        return part.to(self.value.device)
 
     def begin(self, seeds: Seeds) -> None:
         """Start anew: tick 0, no noise so far, other chance."""

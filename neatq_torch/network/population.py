@@ -143,6 +143,13 @@ class PopulationNetwork(nn.Module):
             return compiled.evaluate(self.plan, weight, observation, state)
         return self.plan.levels(weight.device).evaluate(weight, observation, state)
 
+    def part(self, slots: Sequence[int], shape: Sequence[int] | None = None) -> PopulationNetwork:
+        """Some of the networks (flat slots), in another shape, with copies of their weights."""
+        genomes = [self._genomes[slot] for slot in slots]
+        part = PopulationNetwork(genomes, shape=shape, evaluation=self.evaluation)
+        part.load_weights(self.weight.detach()[list(slots)])
+        return part.to(self.weight.device)
+
     def stateful(self) -> StatefulNetwork:
         """These networks as a module that keeps their state from call to call, until `reset`."""
         return StatefulNetwork(self)

@@ -19,6 +19,8 @@ from neatq_envs.episodes import (
     Starts,
     episode_seed,
     episode_seeds,
+    rows_of,
+    side_by_side,
 )
 from neatq_envs.gymnasium_rows import DealtRows, EnvRows, SingleRows, VectorRows, make_rows
 from neatq_envs.gymnasium_task import GymnasiumTask, Interface
@@ -156,7 +158,7 @@ def test_an_episode_alone_is_kept_in_the_state(toy: str) -> None:
 
 def test_a_state_of_other_rows_is_refused(toy: str) -> None:
     env = env_of(f"{toy}Walk-v0")
-    env.reset()
+    go(env, env.reset(), range(3))
     state = env.world_state()
     with pytest.raises(ValueError, match="one for each of 2 arenas, got 1"):
         env.load_world_state({**state, "seeds": [1]})
@@ -251,5 +253,20 @@ def test_a_failure_in_a_process_names_the_row(toy: str, dealt: list[EnvRows]) ->
     dealt.append(rows)
     env = made(rows, interface, 1)
     env.begin(starts=[[2], [2], [2], [2], [9], [7]])
-    with pytest.raises(EpisodeError, match=r"row 4 failed in episode 0 with seed 9, after 2 steps"):
+    with pytest.raises(EpisodeError, match=r"slot 1 of arena 1 failed in episode 0 with seed 9"):
         go(env, env.reset(), range(5))
+
+
+def test_states_of_some_rows_are_that_of_all(toy: str) -> None:
+    env = env_of(f"{toy}Walk-v0")
+    go(env, env.reset(), range(17), newborn=4)
+    whole = env.world_state()["rows"]
+    parts = [rows_of(whole, own) for own in (slice(0, 1), slice(1, 2), slice(2, 6))]
+    for part in parts:  # as those who have these rows alone keep them
+        longest = int(np.where(part["living"], part["step_count"], 0).max())
+        part["actions"] = part["actions"][len(part["actions"]) - longest :]
+    assert len({len(part["actions"]) for part in parts}) > 1
+    joined = side_by_side(parts)
+    assert joined.keys() == whole.keys()
+    for name, values in whole.items():
+        np.testing.assert_array_equal(joined[name], values)

@@ -159,7 +159,7 @@ def test_a_failure_names_row_episode_seed_and_step(toy: str, how: str, pattern: 
         for _ in range(30):
             _, now = env.step_and_maybe_reset(act(now, torch.zeros(2, 1, 1)))
     steps = 2 if how == "raise" else 3
-    where = f"row 1 failed in episode 1 with seed 9, after {steps} steps: "
+    where = f"slot 0 of arena 1 failed in episode 1 with seed 9, after {steps} steps: "
     assert where in str(caught.value)
     assert caught.match(pattern)
 

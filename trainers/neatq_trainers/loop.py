@@ -11,21 +11,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Generator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.collectors import Collector
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from neatq_envs.torchrl_env import RowsEnv
 from neatq_torch.evolution import Replacement
 from neatq_torch.learning import write_back
 from neatq_torch.learning.candidates import NOBODY
 from neatq_trainers.callbacks import Callback
+from neatq_trainers.collecting import RowsCollector, collector_of
+from neatq_trainers.rollouts import Rollouts, rollouts_of
 from neatq_trainers.rows import Row
 from neatq_trainers.run import Run
 
@@ -90,7 +90,7 @@ def strides(run: Run, callbacks: Sequence[Callback] = ()) -> Generator[Stride]:
                 yield Stride(rows, track, run.tick, run.metrics.steps(run), run.generation)
                 rows, poses = [], []
                 if _settled(run):
-                    assert isinstance(collector, _RowsCollector)
+                    assert isinstance(collector, RowsCollector)
                     collector.look_again()
     finally:
         collector.shutdown(close_env=False)
@@ -104,64 +104,11 @@ def _settled(run: Run) -> bool:
     return changed
 
 
-def make_collector(run: Run) -> Collector:
+def make_collector(run: Run) -> Collector | Rollouts:
     """A collector of batches [arenas, slots, ticks], without end."""
-    explores = getattr(run.policy, "explores", True)  # else nothing is drawn for it
-    chance: Any = ExplorationType.RANDOM if explores else ExplorationType.DETERMINISTIC
-    kind = _RowsCollector if isinstance(run.world.env, RowsEnv) else Collector
-    return kind(
-        run.world.env,
-        run.policy,
-        frames_per_batch=run.world.env.batch_size.numel() * run.config.ticks_per_batch,
-        total_frames=-1,
-        auto_register_policy_transforms=False,
-        use_buffers=False,  # a network's state may grow from batch to batch
-        track_traj_ids=False,  # the age of a life tells more
-        exploration_type=chance,
-    )
-
-
-class _RowsCollector(Collector):
-    """The same batches for environments of rows, at less cost.
-
-    All is on the CPU, and the ticks of a batch have the same entries, so they need not be looked
-    through for what differs, and a batch that was just made need not be copied.
-    """
-
-    def iterator(self) -> Iterator[TensorDictBase]:
-        """Batch after batch."""
-        while True:
-            yield self.rollout()
-
-    def look_again(self) -> None:
-        """Go on from what the environment's `reset` returns, as a collector that has just begun."""
-        self._carrier = self.env.reset()
-
-    @torch.no_grad()
-    def rollout(self) -> TensorDictBase:
-        """The next batch."""
-        ticks = []
-        with set_exploration_type(self.exploration_type):
-            for _ in range(self.frames_per_batch):
-                acted = self._wrapped_policy(self._carrier)
-                tick, self._carrier = self.env.step_and_maybe_reset(acted)
-                ticks.append(tick)
-        return _stacked(ticks)
-
-
-def _stacked(ticks: Sequence[TensorDictBase]) -> TensorDict:
-    """Ticks of batch size [arenas, slots] as one batch [arenas, slots, ticks]."""
-    size, dim = torch.Size([*ticks[0].batch_size, len(ticks)]), ticks[0].batch_dims
-    columns: list[dict[str, Any]] = [dict(tick.items()) for tick in ticks]
-    values: dict[str, Any] = {}
-    for key, first in columns[0].items():
-        column = [one[key] for one in columns]
-        nested = isinstance(first, TensorDict)
-        if nested:
-            values[key] = _stacked(column)
-        else:
-            values[key] = torch.stack(column, dim) if len(ticks) > 1 else first.unsqueeze(dim)
-    return TensorDict._new_unsafe(values, size)
+    if (rollouts := rollouts_of(run)) is not None:
+        return rollouts
+    return collector_of(run.world.env, run.policy, run.config.ticks_per_batch)
 
 
 def judge(run: Run, batch: TensorDictBase) -> None:

@@ -19,7 +19,7 @@ from torchrl.data import Bounded
 from torchrl.envs import EnvBase
 
 from neatq_envs.episodes import EpisodeError, EpisodeRows, Starts
-from neatq_envs.gymnasium_rows import make_rows
+from neatq_envs.gymnasium_rows import DealtRows, make_rows
 from neatq_envs.gymnasium_task import PREFIX, GymnasiumTask, TaskError
 from neatq_envs.machines import Crew, Machines
 from neatq_envs.random_play import EnvFacts, ObservationScaling, WideScaling, look_around
@@ -32,6 +32,7 @@ from neatq_torch.kinds import ConfigError, Kinds, check_fields, import_own
 from neatq_torch.learning import CandidateHeads, DiscreteHeads, Heads
 from neatq_torch.learning.heads import ValueRange
 from neatq_torch.network import Evaluation, PopulationNetwork
+from neatq_trainers.collecting import RolloutWorker
 from neatq_trainers.nero.nero_world import NeroConfig, NeroWorld
 from neatq_trainers.world import RobotsConfig, World, return_range
 
@@ -211,7 +212,8 @@ class GymnasiumWorld(World):
         self.config, self.facts, self._crew = config, facts, crew
         self._generational = episodes is not None
         task = config.task
-        rows, self.interface = make_rows(task, renewed=facts.renewed, crew=crew)
+        dealt = {"crew": crew, "kind": RolloutWorker}
+        rows, self.interface = make_rows(task, renewed=facts.renewed, **dealt)
         # One arena is evaluated when all its episodes are over; of several, others may not be.
         alone = self._generational and len(seeds) == 1
         self._rows, self._free = rows, rows if alone else None
@@ -224,7 +226,6 @@ class GymnasiumWorld(World):
             seeds=seeds,
             episodes=episodes,
             name=config.id,
-            label=lambda row: f"slot {row % config.slots} of arena {row // config.slots}",
         )
         self.inputs = self.interface.inputs
 
@@ -237,6 +238,11 @@ class GymnasiumWorld(World):
     def default_range(self, discount: float, *, normalized: bool) -> ValueRange:
         """Returns that random play had or might have had."""
         return self.facts.value_range
+
+    @property
+    def rollout_workers(self) -> DealtRows | None:
+        """Where environments live elsewhere: a `RolloutWorker` each."""
+        return self._rows if isinstance(self._rows, DealtRows) else None
 
     def begin(self, generation: int) -> None:
         """Begin the episodes of a generation."""
