@@ -9,11 +9,11 @@
   it was 1,073 ms beside 1,000, 93 % of ideal. They sleep, so two cores are enough;
 - a step of environments that cost nothing, twenty to each of 64 actors, and all work of actors in
   it;
-- what the driver itself does (its CPU time) for twenty ticks of environments that cost nothing,
+- what the driver itself does (its CPU time) to have twenty ticks of environments that cost nothing,
   twenty to each of 16 actors: as `neatq train` does it, where networks act in the actors and a
   batch is one message (`neatq_trainers.rollouts`), beside twenty steps from here. From this the
-  note says at how many cores a driver is saturated. Actors of a run have torch, 300 MB each, so
-  there are 16 and not 64;
+  note says at how many cores a driver is saturated by collecting alone; what it learns and breeds
+  comes on top. Actors of a run have torch, 300 MB each, so there are 16 and not 64;
 - what the driver of such a run grows by over 10,000 batches, from two actors.
 
 All on a cluster that is begun on this machine; the wall time of other work is in it. Needs the
@@ -101,7 +101,7 @@ def run(quick: bool) -> list[Line]:
             "single steps",
             driver["steps"] * 1e3,
             unit="ms",
-            note=f"{fed:,.0f} environment steps/s; a driver is saturated by {cores} a step.",
+            note=f"{fed:,.0f} steps/s; collecting saturates a driver at {cores} a step.",
         ),
         growth(f"the driver, {batches:,} batches from 2 actors", resident, batches, "batches"),
     ]

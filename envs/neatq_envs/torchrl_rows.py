@@ -68,7 +68,11 @@ class GymnasiumRows(RowsEnv):
     Attributes:
         elsewhere: What gives the state of the rows where these live elsewhere and this environment
             is not stepped; None where they live here. `begin` ends it.
+        replays_late: Whether a loaded state is replayed with the next reset or step only, as others
+            may go on with it.
     """
+
+    replays_late = False
 
     def __init__(
         self,
@@ -119,7 +123,8 @@ class GymnasiumRows(RowsEnv):
             words = f"of {rows} rows, got the shape {list(given.shape)}"
             raise ValueError(f"starts: expected the seeds of the episodes {words}")
         self.generation, self._given = generation, given
-        self._pending, self._restored = True, False
+        self._pending, self._restored, self._stepped = True, False, False
+        self._saved: Mapping[str, Any] | None = None  # from where they go on with the next reset
         self.elsewhere: Callable[[], dict[str, np.ndarray]] | None = None
 
     def rebuild(self) -> None:
@@ -138,8 +143,9 @@ class GymnasiumRows(RowsEnv):
         """See `EpisodeRows.state`; None where no step was taken, so that `begin` says it all."""
         if self.elsewhere is not None:
             return self.elsewhere()
-        fresh = self._pending or not self.episodes.steps.any()
-        return None if fresh else self.episodes.state()
+        if self._saved is not None:
+            return {name: np.array(value) for name, value in self._saved.items()}
+        return self.episodes.state() if self._stepped else None
 
     def load_world_state(self, state: Mapping[str, Any]) -> None:
         """Continue from a `world_state`; `reset()` without a mask then returns it until a step."""
@@ -150,8 +156,15 @@ class GymnasiumRows(RowsEnv):
             return
         if len(rows["living"]) != own:
             raise ValueError(f"the state has {len(rows['living'])} rows, this has {own}")
-        self.episodes.load_state(rows, self._starts())
-        self._pending, self._restored = False, True
+        self._saved, self._pending, self._restored = rows, False, True
+        if not self.replays_late:
+            self._replay()
+
+    def _replay(self) -> None:
+        """Bring the environments to where a loaded state has them, if they are not there yet."""
+        if self._saved is not None:
+            self.episodes.load_state(self._saved, self._starts())
+            self._saved, self._stepped = None, True
 
     def _starts(self) -> Starts:
         if self._given is not None:
@@ -173,19 +186,22 @@ class GymnasiumRows(RowsEnv):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
+        self._replay()
         if self._pending or (mask is None and not self._restored):
             self.episodes.begin(self._starts())
-            self._pending = False
+            self._pending = self._stepped = False
             if tensordict is not None and mask is not None:
                 tensordict.set("_reset", torch.ones_like(mask))
         elif mask is not None:
             self.episodes.go_on(mask.reshape(-1).numpy())
+            self._stepped = True
         return self._tensordict(self._observe())
 
     def _act(self, actions: np.ndarray) -> torch.Tensor:
         if self._pending:
             raise RuntimeError("step: after begin, reset the environment before the next step")
-        self._restored = False
+        self._replay()
+        self._restored, self._stepped = False, True
         self.episodes.step(actions.reshape(self.batch_size.numel(), -1))
         return single(self.episodes.reward).view(self._size(1))
 

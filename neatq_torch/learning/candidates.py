@@ -159,10 +159,11 @@ class CandidatePolicy(TensorDictModuleBase):
         if self.network.state_size:
             if self.double_activation:
                 memory = self.network.step(self.previous, memory)[1]
-                self.previous = observation
             tensordict.set("network_state", self.memory)
             tensordict.set(("next", "network_state"), memory)
             self.memory = memory
+        if self.double_activation:
+            self.previous = observation
         return tensordict
 
     def part(self, slots: slice) -> CandidatePolicy:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
@@ -13,7 +14,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from neatq_envs.gymnasium_rows import SingleRows
+from neatq_envs.gymnasium_rows import Mask, SingleRows, Step
 from neatq_envs.random_play import ObservationScaling
 from neatq_envs.torchrl_env import RowsEnv
 from neatq_envs.torchrl_rows import GymnasiumRows
@@ -132,8 +133,8 @@ class Collected(NamedTuple):
     Attributes:
         batch: [1, slots, ticks].
         policy: State of the policy after it.
-        seconds: How long it took.
-        steps: Taken in their environments.
+        seconds: What the steps took in their environments.
+        steps: How many there were.
     """
 
     batch: Arrays
@@ -145,10 +146,11 @@ class Collected(NamedTuple):
 class RolloutWorker(SingleRows):
     """Environments of some slots, and the networks that act in them.
 
-    What a slot does depends on its genome, its weights and its seeds alone, so it does not matter
-    who else is here.
+    What a slot does depends on its genome, its seeds and what is told of it alone, so it does not
+    matter who else is here.
     """
 
+    _seconds, _steps = 0.0, 0
     _env: GymnasiumRows
     _policy: CandidatePolicy
     _collector: RowsCollector
@@ -175,11 +177,18 @@ class RolloutWorker(SingleRows):
 
     def collect(self, news: News) -> Collected:
         """The next batch."""
-        begun, before = time.perf_counter(), self._env.episodes.steps.sum()
         self._hear(news)
+        self._seconds, self._steps = 0.0, 0
         batch = _sendable_batch(self._collector.rollout())
-        steps = int(self._env.episodes.steps.sum() - before)
-        return Collected(batch, self._policy.state_dict(), time.perf_counter() - begun, steps)
+        return Collected(batch, self._policy.state_dict(), self._seconds, self._steps)
+
+    def step(self, mask: Mask, actions: np.ndarray) -> Step:
+        """See `SingleRows`."""
+        begun = time.perf_counter()
+        came = super().step(mask, actions)
+        self._seconds += time.perf_counter() - begun
+        self._steps += int(mask.sum())
+        return came
 
     def rows(self, news: News) -> dict[str, Any]:
         """The state of the slots, see `EpisodeRows`."""

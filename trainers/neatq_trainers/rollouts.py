@@ -27,12 +27,15 @@ from neatq_trainers.worlds import GymnasiumWorld
 
 
 def rollouts_of(run: Run) -> Rollouts | None:
-    """The batches of a run, where others collect them."""
+    """The batches of a run, where others collect them: those of one arena, and no other policy.
+
+    Else environments that live elsewhere are stepped from here.
+    """
     world, policy, network = run.world, run.policy, run.network
     rows = world.rollout_workers if isinstance(world, GymnasiumWorld) else None
-    if rows is None or network is None or not isinstance(policy, CandidatePolicy):
+    if rows is None or run.shape[0] > 1 or network is None:
         return None
-    return Rollouts(run, rows, network, policy)
+    return Rollouts(run, rows, network, policy) if type(policy) is CandidatePolicy else None
 
 
 class Rollouts:
@@ -95,16 +98,16 @@ class Rollouts:
 
     def _told(self, method: str) -> list[Any]:
         """What each worker returns that is told the news."""
-        news = [self._news(own) for own in self._slots]
+        state = self._policy.state_dict()
+        news = [self._news(own, state) for own in self._slots]
         self._born.clear()
         return self._asked(method, news)
 
-    def _news(self, own: slice) -> News:
+    def _news(self, own: slice, state: dict[str, Any]) -> News:
         genomes, here = self._run.populations[0].genomes, range(own.start, own.stop)
         born = {slot - own.start: genomes[slot] for slot in self._born.intersection(here)}
         weight = self._network.weight.detach()[own].clone() if self._run.config.learns else None
-        policy = state_of_slots(self._policy.state_dict(), own)
-        return News(born, policy, weight, self._run.normalization)
+        return News(born, state_of_slots(state, own), weight, self._run.normalization)
 
     def _joined(self, answers: list[Collected]) -> TensorDict:
         """What all slots went through."""

@@ -1,8 +1,8 @@
 """Who trains the arenas of a run: this process, or several at once.
 
 Arenas, but for rivals, do not influence each other, so they can be dealt to processes in any way:
-the results are the same, bit for bit. Where there are fewer arenas than processes, the environments
-of a Gymnasium task are dealt instead.
+the results are the same, bit for bit. Of a run of one part on a Gymnasium task the slots are dealt
+instead (`rollouts`).
 """
 
 from __future__ import annotations

@@ -227,6 +227,7 @@ class GymnasiumWorld(World):
             episodes=episodes,
             name=config.id,
         )
+        self.env.replays_late = self.rollout_workers is not None
         self.inputs = self.interface.inputs
 
     def heads(self, candidates: int, value_range: ValueRange = (0.0, 1.0)) -> Heads:
