@@ -25,7 +25,8 @@ KILLS ?= 50
 VENV := .venv
 # Windows has its programs elsewhere.
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
-INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
+# Without --no-compile all of torch is compiled to bytecode, of which a tenth is imported.
+INSTALL := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable
 WHEEL_DIR := build/wheel
 
 # One thread for each test process: many small tensors, and the same sums in the same order.

@@ -43,11 +43,12 @@ def timed_runs(
     Subtract them: what it takes to begin and to end a run is in both. A run before them loads what
     is loaded once.
     """
-    _timed(config.changed({unit: 1}), workers)
-    return [_timed(config.changed({unit: length}), workers) for length in lengths]
+    timed_run(config.changed({unit: 1}), workers)
+    return [timed_run(config.changed({unit: length}), workers) for length in lengths]
 
 
-def _timed(config: RunConfig, workers: int | None) -> Timed:
+def timed_run(config: RunConfig, workers: int | None = None) -> Timed:
+    """A run of `neatq train`, in a folder that is gone afterwards."""
     with tempfile.TemporaryDirectory() as folder:
         begin = time.perf_counter()
         run = start(config, Path(folder) / "run", workers=workers)

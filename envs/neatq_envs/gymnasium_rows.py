@@ -87,11 +87,11 @@ class SingleRows:
         rows = len(mask)
         observations, rewards = np.zeros((rows, self.interface.inputs)), np.zeros(rows)
         terminated, truncated = np.zeros(rows, bool), np.zeros(rows, bool)
-        own, read, envs = self.interface.act(actions), self.interface.read, self._envs
+        own, read, envs = self.interface.act(actions[mask]), self.interface.read, self._envs
         with _Failures() as at:
-            for at.row in np.flatnonzero(mask).tolist():
+            for at.row, action in zip(np.flatnonzero(mask).tolist(), own, strict=True):
                 row = at.row
-                came: Any = envs[row].step(own[row])
+                came: Any = envs[row].step(action)
                 if not isinstance(came, tuple) or len(came) != 5:
                     raise Misfit(_STEP_WORDS.format(_words(came)))
                 seen, reward, over, cut_off, _ = came

@@ -288,6 +288,41 @@ def test_the_policy_forbids_scripts_of_others(browser: Any, played: Played) -> N
     strict.page.context.close()
 
 
+def test_a_run_that_was_steered_and_killed_goes_on_as_one_that_was_not(
+    played: Played, reader: Reader, here: Path
+) -> None:
+    reader.page.context.close()
+    played.stop(signal.SIGKILL)
+    record = played.folder / "changes.jsonl"
+    last = json.loads(record.read_text().splitlines()[-1])["tick"]
+    ticks = str(max(last, load_run(played.folder).read()["done"]["ticks"]) + 200)
+    robots = ["--env-kwargs", "robots=20", "lifetime_ticks=200"]
+    command = [sys.executable, "-m", "neatq_trainers"]
+    subprocess.run([*command, "resume", "runs/play-1", "--ticks", ticks], cwd=here, check=True)
+    again = ["train", "--task", "wall", "--arm", "replay", *robots, "--ticks", ticks]
+    again += ["--changes", str(record), "--out", "runs/again"]
+    subprocess.run([*command, *again], cwd=here, check=True)
+    one, two = played.folder, here / "runs" / "again"
+    for name in ("metrics.csv", "champion.json"):
+        assert (one / name).read_bytes() == (two / name).read_bytes(), name
+
+
+def test_a_page_in_one_file_plays_without_anybody(played: Played, here: Path, browser: Any) -> None:
+    command = [sys.executable, "-m", "neatq_trainers", "export", "runs/play-1"]
+    subprocess.run([*command, "--html", "life.html", "--ticks", "400"], cwd=here, check=True)
+    page = here / "life.html"
+    assert page.stat().st_size < 5_000_000
+    asked: list[str] = []
+    reader = Reader(browser, "about:blank")
+    reader.page.on("request", lambda request: asked.append(request.url))
+    reader.page.goto(page.as_uri())
+    reader.wait_for("neatq.placeOf(3) !== null")
+    reader.page.locator("#robots-table tbody tr").nth(3).click()
+    reader.wait_for("neatq.robot?.network?.links.length > 0")
+    assert [one for one in asked if not one.startswith(("file:", "data:", "blob:"))] == []
+    reader.close()
+
+
 def test_a_gymnasium_run_shows_its_curves_and_an_episode_of_its_champion(
     browser: Any, tmp_path: Path
 ) -> None:
@@ -326,41 +361,6 @@ def test_a_team_fights_another_and_turrets_come_and_go(browser: Any, tmp_path: P
     reader.page.wait_for_selector("#timeline-back", state="hidden")
     reader.close()
     run.stop(signal.SIGKILL)
-
-
-def test_a_run_that_was_steered_and_killed_goes_on_as_one_that_was_not(
-    played: Played, reader: Reader, here: Path
-) -> None:
-    reader.page.context.close()
-    played.stop(signal.SIGKILL)
-    record = played.folder / "changes.jsonl"
-    last = json.loads(record.read_text().splitlines()[-1])["tick"]
-    ticks = str(max(last, load_run(played.folder).read()["done"]["ticks"]) + 200)
-    robots = ["--env-kwargs", "robots=20", "lifetime_ticks=200"]
-    command = [sys.executable, "-m", "neatq_trainers"]
-    subprocess.run([*command, "resume", "runs/play-1", "--ticks", ticks], cwd=here, check=True)
-    again = ["train", "--task", "wall", "--arm", "replay", *robots, "--ticks", ticks]
-    again += ["--changes", str(record), "--out", "runs/again"]
-    subprocess.run([*command, *again], cwd=here, check=True)
-    one, two = played.folder, here / "runs" / "again"
-    for name in ("metrics.csv", "champion.json"):
-        assert (one / name).read_bytes() == (two / name).read_bytes(), name
-
-
-def test_a_page_in_one_file_plays_without_anybody(played: Played, here: Path, browser: Any) -> None:
-    command = [sys.executable, "-m", "neatq_trainers", "export", "runs/play-1"]
-    subprocess.run([*command, "--html", "life.html", "--ticks", "400"], cwd=here, check=True)
-    page = here / "life.html"
-    assert page.stat().st_size < 5_000_000
-    asked: list[str] = []
-    reader = Reader(browser, "about:blank")
-    reader.page.on("request", lambda request: asked.append(request.url))
-    reader.page.goto(page.as_uri())
-    reader.wait_for("neatq.placeOf(3) !== null")
-    reader.page.locator("#robots-table tbody tr").nth(3).click()
-    reader.wait_for("neatq.robot?.network?.links.length > 0")
-    assert [one for one in asked if not one.startswith(("file:", "data:", "blob:"))] == []
-    reader.close()
 
 
 # ------------------------------------------------------------------------------------ pictures
