@@ -30,7 +30,7 @@ DIGESTS = {
     ("wall", "neat"): "1c4b42ddee67",
     ("wall", "committed"): "3e1d2b4f8971",
     ("wall", "described"): "05f3194df93a",
-    ("wall", "neatq"): "5a18172625fe",
+    ("wall", "neatq"): "96fc053fcd95",
     ("wall", "replay"): "2bdacba4bfdb",
     ("wall", "neat+q"): "3721695ccbba",
     ("wall", "qnetwork"): "eddee2552f9f",

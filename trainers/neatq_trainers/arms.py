@@ -32,7 +32,7 @@ from neatq_torch.learning import (
     learner_kinds,
 )
 from neatq_trainers.config import AS_IT_COMES, LIFE_TICKS, NetworkConfig, RunConfig
-from neatq_trainers.nero.nero_world import NERO, nero_config
+from neatq_trainers.nero.nero_world import NERO, NeroConfig, nero_config
 from neatq_trainers.worlds import (
     ArenaConfig,
     EnvConfig,
@@ -63,6 +63,7 @@ class Arm:
         batch_ticks: Ticks between two updates; None: as population and learner ask for.
         episodic: What differs where lives are episodes (Gymnasium tasks and own environments), by
             dotted path in `RunConfig.to_dict`.
+        in_nero: What differs of the population on NERO's field.
         slots: Genomes on Gymnasium tasks.
         arena_only: Why it runs nowhere else, and what does.
         on_gymnasium: What it is instead on Gymnasium tasks.
@@ -75,6 +76,7 @@ class Arm:
     senses: Mapping[str, str] = field(default_factory=lambda: {"sensors": "arena"})
     batch_ticks: int | None = None
     episodic: Mapping[str, Any] = field(default_factory=dict)
+    in_nero: Mapping[str, Any] = field(default_factory=dict)
     slots: int = 150
     arena_only: str | None = None
     on_gymnasium: Arm | None = None
@@ -143,7 +145,7 @@ ARMS: dict[str, Arm] = {
         population=RtNEATConfig(
             trial_average="recent",
             trial_weight="growing",
-            ineligible_fraction=0.25,
+            ineligible_fraction=0.125,
             survival_share=0.2,
             pioneer_share=0.35,
         ),
@@ -170,6 +172,8 @@ ARMS: dict[str, Arm] = {
             "population.pioneer_share": None,
             **_EPISODES,
         },
+        # Robots die there: a trial is no life, and leads nowhere. It is judged as published.
+        in_nero={"trial_weight": None, "trial_average": None, "ineligible_fraction": 0.25},
         on_gymnasium=_TAUGHT,
     ),
     "replay": Arm(
@@ -347,11 +351,8 @@ def _population(arm: Arm, world: WorldConfig) -> Any:
     if arm.population is None or not world.lasting:
         return arm.population
     life = world.lifetime_ticks or LIFE_TICKS
-    population = _having(arm.population, minimum_life_ticks=life, episodes=1)
-    if isinstance(world, ArenaConfig):
-        return population
-    # NERO's robots die: a trial is no life there, and leads nowhere. It is judged as published.
-    return _having(population, trial_weight=None, trial_average=None)
+    own = arm.in_nero if isinstance(world, NeroConfig) else {}
+    return _having(arm.population, minimum_life_ticks=life, episodes=1, **own)
 
 
 def _learner(arm: Arm, world: WorldConfig) -> Any:
