@@ -30,10 +30,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from benchmarks.measure import in_rounds, resident_bytes
+from benchmarks.measure import in_rounds
 from benchmarks.memory import SAMPLES, growth
 from benchmarks.result import Goal, Line, compare
 from neatq_envs.gymnasium_rows import make_rows
@@ -176,7 +177,7 @@ def _batches(crew: Crew) -> Iterator[Callable[[], object]]:
 
 
 class _Watch(Callback):
-    """Notes the resident bytes of this process after so many batches each."""
+    """Notes the resident bytes of this process, without Ray's, after so many batches each."""
 
     def __init__(self, every: int) -> None:
         self.every, self.batches, self.samples = every, 0, list[tuple[int, int]]()
@@ -184,7 +185,7 @@ class _Watch(Callback):
     def batch(self, run: Run, batch: TensorDictBase, error: Tensor) -> None:
         self.batches += 1
         if self.batches % self.every == 0:
-            self.samples.append((self.batches, resident_bytes(os.getpid())))
+            self.samples.append((self.batches, psutil.Process().memory_info().rss))
 
 
 def _resident(crew: Crew, batches: int) -> np.ndarray:
