@@ -17,7 +17,7 @@ def test_a_gradient_that_is_0_for_long_leaves_adams_weights_and_no_subnormal_mom
     weight = rng.normal(size=(2, 8)).astype(np.float32)
     wanted = torch.nn.Parameter(torch.tensor(weight))
     adam = torch.optim.Adam([wanted], lr=RATE, betas=ADAM_BETAS, eps=ADAM_EPSILON)
-    first, second = np.zeros((2, *weight.shape), np.float32)
+    first, second = np.zeros_like(weight), np.zeros_like(weight)
     second[:, :2] = 1e-38  # from long ago
     steps, rates = np.zeros(2, np.float32), np.full(2, RATE, np.float32)
     for step in range(STEPS):
