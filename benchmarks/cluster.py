@@ -3,6 +3,8 @@
 - a task that does nothing, in a pool of two hands (`neatq_envs.pool`): one on Ray beside one in
   processes, wall time for each of 100, hands begun before;
 - a message to an object elsewhere and back;
+- a minibatch of a critic from the memory of the driver, beside an empty message: what it would at
+  least cost to have it from a memory elsewhere;
 - a step of environments that take 100 ms each (`benchmarks.sleeping`), twenty to each of 64 actors,
   beside the two seconds that twenty of them take: what is on top is the work of driver and actors,
   about a millisecond for each message, which all share two cores here. With ten environments each
@@ -31,7 +33,8 @@ from typing import Any
 
 import numpy as np
 import psutil
-from tensordict import TensorDictBase
+import torch
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from benchmarks.measure import in_rounds
@@ -42,6 +45,7 @@ from neatq_envs.gymnasium_task import GymnasiumTask
 from neatq_envs.machines import Crew, Distant, Machines, ThisMachine, open_machines
 from neatq_envs.pool import Pool
 from neatq_torch import preset
+from neatq_torch.learning.memory import TransitionMemory
 from neatq_trainers.build import build
 from neatq_trainers.callbacks import Callback
 from neatq_trainers.config import EPISODIC_BATCH_TICKS
@@ -53,6 +57,7 @@ ACTORS, ROWS_EACH, STEP_SECONDS = 64, 20, 0.1
 RUN_ACTORS, BATCHES = 16, 10_000
 SLEEPING = "benchmarks.sleeping:Sleeping-v0"
 TASKS, HANDS, MESSAGES = 100, 2, 200
+MINIBATCH, REMEMBERED = 256, 300_000
 SATURATED = (0.001, 0.01, 0.1)
 """Seconds of a step for which the note says how many cores a driver feeds."""
 
@@ -72,6 +77,7 @@ def run(quick: bool) -> list[Line]:
         both: dict[str, Machines] = {"Ray": cluster, "processes": ThisMachine()}
         tasks = in_rounds({name: _task_seconds(one) for name, one in both.items()}, rounds=rounds)
         calls = in_rounds({name: _call_seconds(one) for name, one in both.items()}, rounds=rounds)
+        drawn = in_rounds({"drawn": _draw_seconds()}, rounds=rounds)["drawn"]
         crew = Crew(actors, cluster)
         with _rows(crew, STEP_SECONDS) as step:
             slow = in_rounds({"step": lambda: step(5)}, rounds=rounds)["step"]
@@ -92,6 +98,13 @@ def run(quick: bool) -> list[Line]:
     return [
         compare("a task", tasks["Ray"] * 1e3, "processes", tasks["processes"] * 1e3, unit="ms"),
         compare("a message", calls["Ray"] * 1e6, "processes", calls["processes"] * 1e6, unit="us"),
+        compare(
+            f"a minibatch of {MINIBATCH} from {REMEMBERED:,} transitions of the driver",
+            drawn * 1e6,
+            "a message on Ray",
+            calls["Ray"] * 1e6,
+            unit="us",
+        ),
         compare(
             f"a step of 100 ms: {rows}", slow * 1e3, "ideal", ideal * 1e3, unit="ms", goal=near
         ),
@@ -141,6 +154,24 @@ def _call_seconds(machines: Machines) -> Callable[[], float]:
         seconds = time.perf_counter() - began
         one.close()
         return seconds / MESSAGES
+
+    return measure
+
+
+def _draw_seconds() -> Callable[[], float]:
+    """What measures a minibatch of transitions of fifty robots."""
+    size = (REMEMBERED,)
+    memory, generator = TransitionMemory(REMEMBERED), torch.Generator().manual_seed(0)
+    following = {"reward": torch.rand(*size, 1), "terminated": torch.zeros(*size, 1).bool()}
+    seen = {"observation": torch.rand(*size, 15)}
+    now = {"action": torch.rand(*size, 2), "genome_id": torch.zeros(*size, 1).long()}
+    memory.extend(TensorDict({**seen, **now, "next": {**seen, **following}}, size))
+
+    def measure() -> float:
+        began = time.perf_counter()
+        for _ in range(MESSAGES):
+            memory.draw(MINIBATCH, generator)
+        return (time.perf_counter() - began) / MESSAGES
 
     return measure
 
