@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -155,14 +156,15 @@ class SharedCritic:
             batch: [slots, ticks].
             rewards: Of these ticks [slots, ticks, 1].
         """
-        lived, reward = batch.get("genome_id").squeeze(-1) >= 0, rewards.squeeze(-1)
-        done = batch.get(("next", "done")).squeeze(-1)
-        returns = torch.zeros_like(reward, dtype=torch.float64)
-        for tick in range(reward.shape[-1]):
-            self.returns = self.config.discount * self.returns + reward[:, tick]
-            returns[:, tick] = self.returns
-            self.returns = self.returns.masked_fill(done[:, tick], 0)
-        self.spread.add(returns[None, ..., None], lived[None])
+        lived, done = batch.get("genome_id").squeeze(-1) >= 0, batch.get(("next", "done"))
+        earned, ends, running = rewards.numpy(), done.numpy(), self.returns.numpy()
+        returns = np.empty(earned.shape)
+        for tick in range(earned.shape[1]):  # numpy: torch takes four times as long for so few
+            running = self.config.discount * running + earned[:, tick, 0]
+            returns[:, tick, 0] = running
+            running = np.where(ends[:, tick, 0], 0, running)
+        self.returns = torch.from_numpy(running)
+        self.spread.add(torch.from_numpy(returns)[None], lived[None])
         if len(self.memory) >= self.config.warmup:
             self.due += self.config.updates_per_step * int(lived.sum())
 
