@@ -239,6 +239,11 @@ STUDY_GROUPS: dict[str, dict[str, Variant]] = {
             summary="in the arena: neatq that averages lives as OpenNERO does",
             changes={"population.trial_average": None},
         ),
+        "neatq-short-sums": Variant(
+            base="neatq",
+            summary="in the arena: neatq whose critics sum rewards over 5 ticks instead of 20",
+            changes={"learner.horizon": 5},
+        ),
         "neatq-without-feedback": Variant(
             base="neatq",
             summary="in the arena: neatq that senses nothing of the tick before",
