@@ -419,6 +419,8 @@ def in_new_process(folder: Path, arguments: Sequence[str]) -> subprocess.Complet
         capture_output=True,
         text=True,
         check=False,
+        # Whoever is started in the background of a script is deaf to Ctrl-C, and hands that on.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
 
 
